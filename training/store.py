@@ -153,12 +153,7 @@ def write_shard(folder: Path, manifest: Manifest, shard: int, columns: dict) -> 
         arrays[name] = np.ascontiguousarray(columns[name], dtype=kind)
         if arrays[name].shape != (count, *shape):
             raise DataError(f"shard {shard}: column {name} has shape {arrays[name].shape}")
-    label = {
-        "format": FORMAT,
-        "dataset": manifest.identity,
-        "first": first,
-        "count": count,
-    }
+    label = {"format": FORMAT, "dataset": manifest.identity, "first": first, "count": count}
     return write_tensors(shard_path(folder, shard), label, arrays)
 
 

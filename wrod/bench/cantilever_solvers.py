@@ -153,10 +153,7 @@ class Elastica:
         rod, step = problem.rod, problem.length / (edges - 0.5)
 
         class Simulator(
-            elastica.BaseSystemCollection,
-            elastica.Constraints,
-            elastica.Forcing,
-            elastica.Damping,
+            elastica.BaseSystemCollection, elastica.Constraints, elastica.Forcing, elastica.Damping
         ):
             pass
 
@@ -183,9 +180,7 @@ class Elastica:
             item.omega_collection[:] = np.einsum("ijk,kj->ik", item.director_collection, spin)
             simulator.append(item)
             simulator.constrain(item).using(
-                elastica.OneEndFixedBC,
-                constrained_position_idx=(0,),
-                constrained_director_idx=(0,),
+                elastica.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,)
             )
             if start.gravity:
                 simulator.add_forcing_to(item).using(

@@ -110,7 +110,4 @@ def _cold(arguments: list[str]) -> dict:
     subprocess.run(
         [sys.executable, "-P", "-c", _COLD, *arguments], check=True, start_new_session=True
     )
-    return {
-        "cold_seconds": time.perf_counter() - clock,
-        "cold_cpu_seconds": processor() - before,
-    }
+    return {"cold_seconds": time.perf_counter() - clock, "cold_cpu_seconds": processor() - before}

@@ -26,13 +26,7 @@ STUDIES = {
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
-    name: str,
-    rod_name: str,
-    friction: float,
-    batch: int,
-    levels: int,
-    device: str,
-    as_json: bool,
+    name: str, rod_name: str, friction: float, batch: int, levels: int, device: str, as_json: bool
 ) -> None:
     """Time one deployment and a batch on one thread; halve edges, steps, both, and speed."""
     from wrod.bench.campaign import points_of

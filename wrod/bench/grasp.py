@@ -141,12 +141,7 @@ def _say(figures: dict, threads: int) -> None:
 
 
 def _compare(
-    other: Path,
-    counts: str,
-    closures: tuple[str, ...],
-    device: str,
-    patience: float,
-    as_json: bool,
+    other: Path, counts: str, closures: tuple[str, ...], device: str, patience: float, as_json: bool
 ) -> None:
     from wrod.bench.grasp_against import compare, head, line
     from wrod.machine import machine_line

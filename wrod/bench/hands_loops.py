@@ -6,12 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.identification.held.loops import LoopModel, critical_twist, fit_loops
-from wrod.identification.held.measurements import (
-    HangingLoops,
-    HeldPoses,
-    load_hanging,
-    load_poses,
-)
+from wrod.identification.held.measurements import HangingLoops, HeldPoses, load_hanging, load_poses
 from wrod.identification.held.poses import pose_shapes, rigid_rms
 
 CABLES = ("black", "red", "white")

@@ -58,9 +58,7 @@ def assemble(
         ),
         contact=contact,
         motion=GripMotion(
-            batch,
-            [setup.schedule for setup in setups],
-            [rod.principal_angle for rod in rods],
+            batch, [setup.schedule for setup in setups], [rod.principal_angle for rod in rods]
         ),
         force_scale=load,
         tolerance=tolerance,

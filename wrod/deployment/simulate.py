@@ -15,13 +15,7 @@ from wrod.deployment.assembly import assemble
 from wrod.deployment.bounds import check_pace, refuse_coarse_edges, refuse_endless
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.result import Deployment, deployment_error
-from wrod.deployment.setup import (
-    Disturbance,
-    Setup,
-    disturb,
-    mesh,
-    prepare_deployment,
-)
+from wrod.deployment.setup import Disturbance, Setup, disturb, mesh, prepare_deployment
 from wrod.deployment.trial import Trial
 from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern

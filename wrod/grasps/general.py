@@ -192,13 +192,7 @@ class _GeneralLevel:
         wp.launch(
             reading.read_general,
             dim=n,
-            inputs=[
-                edges,
-                level.rest,
-                self.model.natural_curvature,
-                self.roll_array,
-                self.state,
-            ],
+            inputs=[edges, level.rest, self.model.natural_curvature, self.roll_array, self.state],
             outputs=[read.rotation, read.lowest, read.turning, self.twist],
             device=device,
         )

@@ -246,9 +246,7 @@ class HeldRods:
     def eigenvalue(self) -> np.ndarray:
         """(n,) smallest eigenvalue of the free Hessian where the rod stands, per length."""
         return smallest_eigenvalue(
-            self.batch,
-            factor=self.system.factor,
-            negative_pivots=self.negative_pivots(),
+            self.batch, factor=self.system.factor, negative_pivots=self.negative_pivots()
         )
 
     def grip_position(self) -> np.ndarray:

@@ -123,12 +123,7 @@ class MeshLevel:
     """
 
     def __init__(
-        self,
-        rods: int,
-        edges: int,
-        device: str,
-        iterations: wp.array,
-        rates: bool = False,
+        self, rods: int, edges: int, device: str, iterations: wp.array, rates: bool = False
     ):
         self.rods, self.edges, self.device = rods, edges, device
 

@@ -38,12 +38,7 @@ class Nudges:
 
 
 def nudge(
-    shape: np.ndarray,
-    suspended_length,
-    stretch_ratio,
-    offset=OFFSETS,
-    *,
-    device: str | None = None,
+    shape: np.ndarray, suspended_length, stretch_ratio, offset=OFFSETS, *, device: str | None = None
 ) -> Nudges:
     """Nudge the grips of rods in equilibrium sideways, step by step.
 

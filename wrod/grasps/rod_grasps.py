@@ -189,12 +189,7 @@ def _units(model: RodModel) -> tuple[float, float]:
 
 
 def _on_meshes(
-    model: RodModel,
-    contact: np.ndarray,
-    length: np.ndarray,
-    edges: int,
-    lgb: float,
-    bending: float,
+    model: RodModel, contact: np.ndarray, length: np.ndarray, edges: int, lgb: float, bending: float
 ) -> RodArrays:
     """The part from contact to grip, dimensionless."""
     rest = two_sided_rest_lengths(length, edges)

@@ -49,9 +49,7 @@ def lead_in(heading: PPoly, length: float) -> PPoly:
 
 
 def heading_of_curve(
-    curve: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
-    start: float,
-    stop: float,
+    curve: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], start: float, stop: float
 ) -> tuple[PPoly, np.ndarray]:
     """Heading along the arc length of an exact parametric curve t -> (x, y), and its first point.
 

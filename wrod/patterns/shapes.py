@@ -69,10 +69,6 @@ SHAPES = {
         straight(0.08),
     ),
     "letter-S": lambda: strokes(
-        130.0,
-        straight(0.02),
-        turn(225.0, 0.052, 0.10),
-        turn(-225.0, 0.052, 0.10),
-        straight(0.02),
+        130.0, straight(0.02), turn(225.0, 0.052, 0.10), turn(-225.0, 0.052, 0.10), straight(0.02)
     ),
 }

@@ -102,8 +102,7 @@ def compare(deployed: np.ndarray, pattern, points: int = 50) -> Measurement:
 @arguments.checked(
     PerceptionError,
     pattern=arguments.either(
-        arguments.like("a wrod.Pattern", "sample", "length"),
-        arguments.array((None, 2), (None, 3)),
+        arguments.like("a wrod.Pattern", "sample", "length"), arguments.array((None, 2), (None, 3))
     ),
     points=arguments.whole(2, 100_000),
 )

@@ -51,9 +51,7 @@ def _is_paper(image: np.ndarray, region: np.ndarray | None) -> bool:
 
 
 def segment_rods(
-    image: np.ndarray,
-    color: tuple[int, int, int] | None = None,
-    region: np.ndarray | None = None,
+    image: np.ndarray, color: tuple[int, int, int] | None = None, region: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rods on a plain table, as in `segment`."""
     import cv2

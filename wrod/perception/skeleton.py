@@ -69,8 +69,7 @@ def skeletonize(mask: np.ndarray) -> Skeleton:
     neighbours = np.where(joined, number[near], -1)
     y, x = np.divmod(index, stride)
     skeleton = Skeleton(
-        np.column_stack([x + (x0 - 1.0), y + (y0 - 1.0)]),
-        distance[y - 1, x - 1] - 0.5,
+        np.column_stack([x + (x0 - 1.0), y + (y0 - 1.0)]), distance[y - 1, x - 1] - 0.5
     )
     _walk(skeleton, neighbours, joined.sum(1))
     return skeleton

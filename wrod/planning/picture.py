@@ -19,11 +19,7 @@ _FRAMES, _SHAPES = 10, 6
 
 
 @arguments.checked(PatternError)
-def draw_plan(
-    path: str | os.PathLike[str],
-    pattern: Pattern,
-    trajectory: Trajectory,
-) -> Path:
+def draw_plan(path: str | os.PathLike[str], pattern: Pattern, trajectory: Trajectory) -> Path:
     """Write a PNG of a plan: 3D view, view from above, curvature and grip height along the rod.
 
     Args:

@@ -134,10 +134,7 @@ def pedestal_clearance(robot: Robot) -> float:
 
 
 def candidates(
-    trajectory: Places,
-    robot: Robot,
-    count: int = 24,
-    heights: tuple[float, ...] | None = None,
+    trajectory: Places, robot: Robot, count: int = 24, heights: tuple[float, ...] | None = None
 ) -> list[Placement]:
     """Placements worth trying, the most central first.
 

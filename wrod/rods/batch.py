@@ -51,10 +51,7 @@ class RodBatch(BatchArrays):
             value is not finite.
     """
 
-    @arguments.checked(
-        RodError,
-        position=arguments.mesh(finite=False),
-    )
+    @arguments.checked(RodError, position=arguments.mesh(finite=False))
     def __init__(
         self,
         position: np.ndarray,
@@ -245,14 +242,7 @@ class RodBatch(BatchArrays):
             launch(
                 kernel,
                 nodes - 2,
-                [
-                    *numbers,
-                    active,
-                    state.dof,
-                    state.director,
-                    state.reference_twist,
-                    order,
-                ],
+                [*numbers, active, state.dof, state.director, state.reference_twist, order],
             )
         for kernel, number in self.energies:
             launch(

@@ -75,11 +75,7 @@ class Profile:
         )
 
     @classmethod
-    @arguments.checked(
-        RodError,
-        start=arguments.number(),
-        stop=arguments.number(),
-    )
+    @arguments.checked(RodError, start=arguments.number(), stop=arguments.number())
     def sampled(cls, function: Callable, start: float, stop: float) -> Profile:
         """A smooth vectorised function of arc length [m] between two places, at 257 knots."""
         knots = np.linspace(start, stop, _SAMPLES)

@@ -118,10 +118,7 @@ class CoupledSystem(PairedSystem):
             self._y = wp.zeros((rods, nodes), dtype=wp.vec4d, device=device)
         else:
             self._lines = wp.array(
-                ptr=self._block.ptr,
-                shape=(rods, 4 * self._capacity),
-                dtype=wp.vec4d,
-                device=device,
+                ptr=self._block.ptr, shape=(rods, 4 * self._capacity), dtype=wp.vec4d, device=device
             )
             self._product, self._column, self._size, self._y = (
                 wp.zeros((rods, width * nodes), dtype=wp.float64, device=device)

@@ -158,9 +158,7 @@ class NewtonSteps(Steps):
             contact.refuse(self.converged, self.active, dof, start.dof)
         if self._scheme and self.contacts:
             self._per_dof(
-                kernels.extrapolate,
-                [self.converged, self.pace, dof, start.dof],
-                [self._end],
+                kernels.extrapolate, [self.converged, self.pace, dof, start.dof], [self._end]
             )
             for contact in self.contacts:
                 contact.find_touching(self.converged, self._end, start.dof, self.touching)

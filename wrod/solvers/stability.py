@@ -27,10 +27,7 @@ _FIRST_SHIFT, _SHIFT_GROWTH, _SHIFTS = 1.0, 8.0, 16
 
 
 def smallest_eigenvalue(
-    batch: RodBatch,
-    *,
-    factor: wp.array | None = None,
-    negative_pivots: np.ndarray | None = None,
+    batch: RodBatch, *, factor: wp.array | None = None, negative_pivots: np.ndarray | None = None
 ) -> np.ndarray:
     """Smallest eigenvalue of the free Hessian by block inverse iteration.
 
@@ -65,10 +62,7 @@ def smallest_eigenvalue(
     return _inverse_iteration(system, mass, shift)
 
 
-@arguments.checked(
-    RodError,
-    neutral=arguments.number(0.0, 1e6),
-)
+@arguments.checked(RodError, neutral=arguments.number(0.0, 1e6))
 def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarray:
     """How many independent motions lower the energy of every rod where it stands.
 

@@ -294,12 +294,7 @@ def solve_equilibria(batch: RodBatch, **options) -> Equilibria:
     return EquilibriumSolver(batch).solve(**options)
 
 
-@arguments.checked(
-    RodError,
-    clamped_nodes=_INDICES,
-    pinned_nodes=_INDICES,
-    clamped_angles=_INDICES,
-)
+@arguments.checked(RodError, clamped_nodes=_INDICES, pinned_nodes=_INDICES, clamped_angles=_INDICES)
 def prescribe(
     batch: RodBatch, *, clamped_nodes=(), pinned_nodes=(), clamped_angles=()
 ) -> np.ndarray:

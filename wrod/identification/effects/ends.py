@@ -35,10 +35,7 @@ class ClampRotation(Effect):
     name = "clamp_rotation"
     title = "rod turned in clamp A, the same way in every trial"
     reference = "R -> R exp(rotation vector), in the reported frame (m1, m2, tangent)"
-    parameters = (
-        *unknowns("rad", 0.2, "rotation_1", "rotation_2"),
-        Parameter("roll", "rad", 0.7),
-    )
+    parameters = (*unknowns("rad", 0.2, "rotation_1", "rotation_2"), Parameter("roll", "rad", 0.7))
 
     def apply(self, setup, values):
         setup.clamp_rotation = setup.clamp_rotation @ rotation_of(np.asarray(values))

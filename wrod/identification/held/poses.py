@@ -17,9 +17,7 @@ _WAYPOINTS = 24
 
 
 def pose_shapes(
-    poses: HeldPoses,
-    cases: Sequence[tuple[int, int, float, float, float]],
-    device: str = "cpu",
+    poses: HeldPoses, cases: Sequence[tuple[int, int, float, float, float]], device: str = "cpu"
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where cables come to rest whose gripper goes from the straight start to its pose.
 

@@ -133,9 +133,7 @@ def lay(
     )
     return [
         LaidRod(
-            one.arc_length,
-            one.centerline,
-            not one.diverged or one.duration > one.let_go - _RESTING,
+            one.arc_length, one.centerline, not one.diverged or one.duration > one.let_go - _RESTING
         )
         for one in laid
     ]

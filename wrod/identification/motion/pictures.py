@@ -53,10 +53,7 @@ def errors(report) -> bytes:
     w, rate = report.windows, report.measurements.rate
     figure = new_figure(11.0, 3.0)
     left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1.0]})
-    series = (
-        ("before", report.predicted_before, BEFORE),
-        ("after", report.predicted_after, AFTER),
-    )
+    series = (("before", report.predicted_before, BEFORE), ("after", report.predicted_after, AFTER))
     for k, (label, predicted, color) in enumerate(series):
         error = np.where(w.seen, 1e3 * errors_of(w, predicted), np.nan)
         time = np.arange(error.shape[1]) / rate

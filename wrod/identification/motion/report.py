@@ -10,13 +10,7 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import DataError
-from wrod.identification.effect import (
-    Effect,
-    Estimate,
-    Model,
-    as_asked,
-    checked_as_identification,
-)
+from wrod.identification.effect import Effect, Estimate, Model, as_asked, checked_as_identification
 from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.fit import MotionLaboratory
@@ -24,12 +18,7 @@ from wrod.identification.motion.loading import load_motion
 from wrod.identification.motion.pace import check_pace
 from wrod.identification.motion.remembered import Remembered
 from wrod.identification.motion.residual import Residual, residual_of
-from wrod.identification.motion.selection import (
-    BASE,
-    MotionSelection,
-    select_motion,
-    verdict_of,
-)
+from wrod.identification.motion.selection import BASE, MotionSelection, select_motion, verdict_of
 from wrod.identification.motion.setup import START_L_GB, MotionSetup
 from wrod.identification.motion.trace import MotionTrace, trace_motion
 from wrod.identification.motion.windows import Windows
@@ -154,8 +143,7 @@ class MotionReport(Report):
             if stretches:
                 return rod
             return replace(
-                rod,
-                stretching_stiffness=Profile((4.0 * rod.mean_bending_stiffness / radius**2,)),
+                rod, stretching_stiffness=Profile((4.0 * rod.mean_bending_stiffness / radius**2,))
             )
 
         assumed = ("radius", "line_mass") + ("stretching_stiffness",) * (not stretches)

@@ -126,10 +126,7 @@ class Tangents:
         """x <- solution of the step's matrix for x."""
         self.system.factorise(self.batch.derivatives.hessian, accepted)
         self._launch(
-            banded.solve,
-            (self.count,),
-            [accepted, self.batch.free, self.system.factor],
-            [self.x],
+            banded.solve, (self.count,), [accepted, self.batch.free, self.system.factor], [self.x]
         )
 
     def _strains(self, accepted, out):
