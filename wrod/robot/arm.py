@@ -11,6 +11,7 @@ from wrod.robot.transfers import Hand
 LINK_ROOM = 0.005  # [m] between links of one arm, and above the table
 ARM_ROOM = 0.02  # [m] between the arms
 TIP_ROOM = -0.0015  # [m] fingers press on the table by no more than a rod gives way
+_WANTED = {"links": LINK_ROOM, "table": LINK_ROOM, "tips": TIP_ROOM, "arm": ARM_ROOM}
 
 
 class Arm:
@@ -32,28 +33,30 @@ class Arm:
 
     def capsules(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Starts, ends (K, C, 3) and radii (C,) in the table's frame [m] at (K, n) [rad]."""
-        base = self.base
-        start, end = (p.numpy() for p in self._points(positions))
-        return (
-            start @ base[:3, :3].T + base[:3, 3],
-            end @ base[:3, :3].T + base[:3, 3],
-            self.model.radius,
-        )
+        return self._in_table(*self.model.points(self._frames(positions)))
 
-    def _points(self, positions: np.ndarray):
+    def _in_table(self, start, end) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        base = self.base
+        start, end = (p.numpy() @ base[:3, :3].T + base[:3, 3] for p in (start, end))
+        return start, end, self.model.radius
+
+    def _frames(self, positions: np.ndarray):
+        """(frame, K, 4, 4) of the chain in the base."""
         import torch
 
         with torch.no_grad():
             q = torch.from_numpy(np.ascontiguousarray(positions))
-            return self.model.points(self.robot.chain.forward_kinematics_tensor(q))
+            return self.robot.chain.forward_kinematics_tensor(q)
 
     def grasps(self, positions: np.ndarray) -> np.ndarray:
         """(K, 4, 4) poses of the grasp in the table's frame [m]."""
         return self.base @ grasp_poses(self.robot, positions)
 
-    def rooms(self, positions: np.ndarray) -> dict[str, np.ndarray]:
-        """Gaps (K,) [m] between "links", to the "table", and of the fingers' "tips" to it."""
-        start, end = self._points(positions)
+    def rooms(self, positions: np.ndarray, other=None) -> dict[str, np.ndarray]:
+        """Gaps (K,) [m] between "links", to the "table", of the fingers' "tips" to it, and to the
+        other "arm" where its capsules are given."""
+        frames = self._frames(positions)
+        start, end = self.model.points(frames)
         links = self.model.self_distances(start, end).numpy()
         if self.model.exact is not None and links.size and links.min() < LINK_ROOM:
             poses = self.robot.link_poses(positions)
@@ -62,27 +65,28 @@ class Arm:
         low = self._lifted
         heights = np.minimum(start[:, low, 2].numpy(), end[:, low, 2].numpy())
         table = (heights - self.model.radius[low]).min(1) - self.placement.z
-        poses = self.grasps(positions)
+        poses = self.base @ frames[self.robot.chain._serial_eef_frame_idx].numpy()
         tips = (poses[:, 2, :3] @ self.hand.tips.T).min(1) + poses[:, 2, 3]
-        return {"links": links, "table": table, "tips": tips}
+        rooms = {"links": links, "table": table, "tips": tips}
+        if other is not None:
+            rooms["arm"] = gap_between(self._in_table(start, end), other)
+        return rooms
+
+    def clear(self, positions: np.ndarray, other=None) -> np.ndarray:
+        """(K,) whether an arm at (K, n) has all the room that it must have."""
+        rooms = self.rooms(positions, other)
+        return np.all([room >= _WANTED[kind] for kind, room in rooms.items()], axis=0)
 
     def problem(self, positions: np.ndarray, other=None) -> tuple[float, str | None]:
         """By how much a path (K, n) fails, 0 if it does not, and how; `other` are capsules."""
         worst, what = 0.0, None
-        rooms = self.rooms(positions)
-        wanted = {"links": LINK_ROOM, "table": LINK_ROOM, "tips": TIP_ROOM}
-        names = {
-            "links": "two of its links come", "table": "it comes", "tips": "its fingers come"
-        }  # fmt: skip
-        if other is not None:
-            rooms["arm"] = gap_between(self.capsules(positions), other)
-            wanted["arm"], names["arm"] = ARM_ROOM, "it comes"
-        for kind, room in rooms.items():
-            short = wanted[kind] - float(room.min())
+        names = {"links": "two of its links come", "tips": "its fingers come"}
+        for kind, room in self.rooms(positions, other).items():
+            short = _WANTED[kind] - float(room.min())
             if short > worst:
                 to = {"links": "", "arm": " to the other arm"}.get(kind, " to the table")
                 worst = short
-                what = f"{names[kind]} within {1e3 * room.min():.1f} mm{to}"
+                what = f"{names.get(kind, 'it comes')} within {1e3 * room.min():.1f} mm{to}"
         return worst, what
 
     def in_base(self, capsules):

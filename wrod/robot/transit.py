@@ -71,12 +71,13 @@ class Way:
 
     def dense(self) -> np.ndarray:
         """(k, n) points that are near each other."""
-        return np.concatenate([_points(leg) for leg in self.legs])
+        return np.concatenate([_points(leg.knots) for leg in self.legs])
 
 
-def _points(leg: Leg) -> np.ndarray:
-    way = np.abs(np.diff(leg.knots, axis=0)).max(1).sum()
-    return leg.at(np.linspace(0.0, 1.0, max(3, int(2 * way / _CHECKED))))
+def _points(knots: np.ndarray) -> np.ndarray:
+    """(k, n) points of a leg that are near each other."""
+    way = np.abs(np.diff(knots, axis=0)).max(1).sum()
+    return Leg(knots, 1.0).at(np.linspace(0.0, 1.0, max(3, int(2 * way / _CHECKED))))
 
 
 def _timed(arm: Arm, knots: np.ndarray, speed: float = _HAND_SPEED) -> Leg:
@@ -84,7 +85,7 @@ def _timed(arm: Arm, knots: np.ndarray, speed: float = _HAND_SPEED) -> Leg:
     way = np.abs(np.diff(knots, axis=0)).sum(0)
     fast = (1.875 * way / (_SHARE * arm.robot.velocity)).max()
     hard = np.sqrt(5.774 * way / arm.robot.acceleration).max()
-    hand = arm.grasps(_points(Leg(knots, 1.0)))[:, :3, 3]
+    hand = arm.grasps(_points(knots))[:, :3, 3]
     step = np.linalg.norm(np.diff(hand, axis=0), axis=1).max()
     return Leg(knots, float(max(fast, hard, step * (len(hand) - 1) / speed, 0.2)))
 
@@ -197,17 +198,16 @@ def find_way(
 
 def _through_air(arm: Arm, a: np.ndarray, b: np.ndarray, other) -> list[Leg] | None:
     """Straight in the joints' space, or round what is in the way; None if neither."""
-    straight = [_timed(arm, np.stack([a, b]))]
-    if arm.problem(_points(straight[0]), other)[1] is None:
-        return straight
+    straight = np.stack([a, b])
+    if arm.clear(_points(straight), other).all():
+        return [_timed(arm, straight)]
     rng = np.random.default_rng(5)
     lower, upper = np.maximum(arm.robot.lower, -4.7), np.minimum(arm.robot.upper, 4.7)
     vias = (a + b) / 2 + _SPREAD * rng.standard_normal((_VIAS, len(a)))
     vias = np.clip(vias, lower + 0.1, upper - 0.1)
     shortest = np.argsort(np.maximum(np.abs(vias - a), np.abs(vias - b)).max(1))
-    for via in vias[shortest]:
-        if arm.problem(via[None], other)[1] is None:
-            legs = [_timed(arm, np.stack([a, via])), _timed(arm, np.stack([via, b]))]
-            if all(arm.problem(_points(leg), other)[1] is None for leg in legs):
-                return legs
+    for via in vias[shortest[arm.clear(vias[shortest], other)]]:
+        ways = [np.stack([a, via]), np.stack([via, b])]
+        if arm.clear(np.concatenate([_points(way) for way in ways]), other).all():
+            return [_timed(arm, way) for way in ways]
     return None
