@@ -30,8 +30,6 @@ from hostile import (
     save_arrays,
     write_json_file,
 )
-from hypothesis import HealthCheck, Phase, given, settings
-from hypothesis import strategies as st
 from wrod.scenes import sawyer
 
 import wrod
@@ -64,26 +62,18 @@ LONGEST = 10
 
 
 def tries(count):
-    """Calls it with so many seeds, FUZZ times as often where there is time for that."""
+    """Calls it with so many seeds, FUZZ times as often where there is time for that: the same in
+    every run of the tests, others in each `make fuzz`."""
 
     def decorate(attempt):
-        end: list[float] = []
+        def each():
+            draw, end = random.Random(count if FUZZ == 1 else None), time.process_time() + LONGEST
+            for _ in range(count * FUZZ):
+                if time.process_time() > end:
+                    return
+                attempt(draw.getrandbits(32))
 
-        @settings(
-            max_examples=count * FUZZ,
-            derandomize=FUZZ == 1,
-            deadline=None,
-            database=None,
-            phases=[Phase.generate],
-            suppress_health_check=list(HealthCheck),
-        )
-        @given(st.integers(0, 2**32))
-        def one(seed):
-            end.append(time.process_time() + LONGEST) if not end else None
-            if time.process_time() < end[0]:
-                attempt(seed)
-
-        return one
+        return each
 
     return decorate
 

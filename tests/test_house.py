@@ -6,7 +6,7 @@ import house
 import pytest
 
 ROOT = Path(__file__).parents[1]
-# Public signatures, whose keywords are their users', and two of benches.
+# Public signatures, whose keywords are their users', and that of deployments with derivatives.
 WIDE = 8
 
 
