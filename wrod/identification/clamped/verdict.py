@@ -44,7 +44,6 @@ class Selection:
             None if the time was over.
         confounded: pairs of names that these data cannot tell apart, with the evidence.
         ranking: every effect alone on the base model, best first.
-        leading: the chosen model even where the verdict names no effect.
         unseen: (chi squared that the model takes from the test trials, its standard error).
         at_bound: parameters of the model that ended at a bound.
         out_of_time: whether not all was tried.
@@ -54,7 +53,6 @@ class Selection:
     verdict: str
     reason: str
     fit: Fit
-    leading: Fit
     ranking: list[Fit]
     rounds: list[Round]
     base_chi_squared: float
@@ -116,7 +114,6 @@ def judge(
         verdict,
         reason,
         named,
-        fit,
         rounds[0].fits if rounds else [],
         rounds,
         empty.chi_squared,
