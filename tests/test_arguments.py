@@ -6,6 +6,7 @@ refused before the work, so a call that still works after a second has taken its
 
 import array
 import atexit
+import copy
 import importlib
 import inspect
 import itertools
@@ -395,6 +396,14 @@ CALLS = {
         wrod.friction_bound,
         dict(pattern=line(), rod=vps(), friction=0.5, spacing=0.01),
     ),
+    "Trajectory": lambda: (wrod.Trajectory, vars(path()).copy()),
+    "Trajectory.save": lambda: (path().save, dict(path="/proc/none/a")),
+    "JointPath.save": lambda: (
+        wrod.JointPath.load(files()["JointPath"]).save, dict(path="/proc/none/a"),
+    ),
+    "Deployment.save": lambda: (
+        wrod.Deployment.load(files()["Deployment"]).save, dict(path="/proc/none/a"),
+    ),
     "Trajectory.load": lambda: (wrod.Trajectory.load, dict(path=files()["trajectory"])),
     "JointPath.load": lambda: (wrod.JointPath.load, dict(path=files()["JointPath"], robot=None)),
     "Deployment.load": lambda: (wrod.Deployment.load, dict(path=files()["Deployment"])),
@@ -744,6 +753,18 @@ def test_every_public_callable_is_here():
     }  # fmt: skip
     here = {name.partition(".")[0] for name in CALLS}
     assert set(wrod.__all__) - {"__version__"} <= here | made_by_others
+
+
+def test_what_holds_arrays_is_compared_and_kept_in_sets():
+    laid = wrod.load_laid([line().sample(np.linspace(0, 0.5, 60))[0]], line(), noise=1e-3)
+    made = [
+        path(), wrod.Deployment.load(files()["Deployment"]), laid, rod_model(), vps(), line(),
+        wrod.JointPath.load(files()["JointPath"]), wrod.solve_grasps([5.0], [0.1], 2e3),
+        wrod.Trial(line(), vps(), path(), wrod.Friction(0.5)),
+    ]  # fmt: skip
+    assert len({*made, *made}) == len(made)
+    for one in made:
+        assert one == one and one != 1 and isinstance(one == copy.deepcopy(one), bool)
 
 
 @pytest.mark.parametrize("name", CALLS)

@@ -135,7 +135,11 @@ def test_every_disturbance_reaches_a_cable_trial():
         moved = disturb(still, one).schedule.position - still.schedule.position
         assert np.abs(moved).max() > 1e-5, name
     trajectory = wrod.Trajectory(
-        np.array([0.0, 0.1]), np.zeros((2, 3)), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), {}
+        np.array([0.0, 0.1]),
+        np.zeros((2, 3)),
+        np.zeros((2, 3)),
+        np.tile(np.eye(3), (2, 1, 1)),
+        np.zeros((2, 3)),
     )
     jobs = [
         Trial(pattern, CABLE, trajectory, Friction(CABLE_FRICTION), d, fixtures=scene)

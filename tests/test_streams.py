@@ -1,5 +1,7 @@
 """Batches that run at the same time on one device."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import warp as wp
@@ -46,3 +48,20 @@ def test_deployments_shared_out_are_those_of_one_batch(device, letter, monkeypat
     for one, other in zip(together, shared_out, strict=True):
         assert one.steps == other.steps
         np.testing.assert_allclose(one.centerline, other.centerline, rtol=0, atol=1e-12)
+
+
+def test_threads_of_the_caller_get_what_one_gets_alone():
+    pattern, rod = wrod.pattern("line"), wrod.rod("green-vps")
+    path = wrod.plan(pattern, rod, "intuitive", spacing=0.05)
+
+    def lay(_) -> float:
+        coarse = dict(spacing=0.05, step=0.05, speed=0.2)
+        return wrod.simulate_deployment(pattern, rod, path, 0.6, **coarse).error_mean
+
+    def grasp(_) -> list:
+        return wrod.solve_grasps([2.0, 9.0], 0.1, 2e3, device="cpu").position.tolist()
+
+    alone = [lay(0), grasp(0)]
+    with ThreadPoolExecutor(4) as pool:  # one that records would record what the others launch
+        found = [(pool.submit(lay, k), pool.submit(grasp, k)) for k in range(6)]
+        assert [[one.result() for one in pair] for pair in found] == [alone] * 6

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.files import read_fields, write_npz
+from wrod.files import read_fields, suffixed, write_npz
 from wrod.patterns.pattern import Pattern
 
 # Points of the accuracy metric (Eq. metric, N = 50).
@@ -16,7 +16,7 @@ METRIC_POINTS = 50
 _FORMAT = "wrod-deployment-1"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Deployment:
     """A simulated deployment. SI units; heights are those of the pattern's plane, in which the
     centreline of a rod lies that rests on the table.
@@ -63,8 +63,7 @@ class Deployment:
         """Write everything as an NPZ file (the suffix of `path` is replaced)."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         present = {name: value for name, value in values.items() if value is not None}
-        path = Path(path).with_suffix(".npz")
-        return write_npz(path, format=_FORMAT, units="SI: m, N, s", **present)
+        return write_npz(suffixed(path, ".npz"), format=_FORMAT, units="SI: m, N, s", **present)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Deployment:

@@ -27,6 +27,7 @@ from wrod.rods.model import RodModel
 from wrod.rods.state import node_positions
 from wrod.solvers.compiling import compile_steps
 from wrod.solvers.contact import Friction, FrictionField
+from wrod.solvers.recording import launching
 from wrod.solvers.streams import run_at_once
 
 # Rods stepped at once on a CPU, and cores from which on threads, which cannot record their launches
@@ -84,6 +85,7 @@ def simulate_deployment(
     return simulate_deployments([trial], **options)[0]
 
 
+@launching()
 @arguments.checked(
     RodError,
     trials=arguments.several(

@@ -14,6 +14,7 @@ from wrod.files.reading import (
     read_text,
 )
 from wrod.files.writing import (
+    suffixed,
     write_atomically,
     write_csv,
     write_figure,
@@ -33,6 +34,7 @@ __all__ = [
     "read_json",
     "read_tensors",
     "read_text",
+    "suffixed",
     "write_atomically",
     "write_csv",
     "write_figure",

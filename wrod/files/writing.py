@@ -54,6 +54,18 @@ def write_atomically(
     return path
 
 
+def suffixed(path: str | os.PathLike[str], suffix: str) -> Path:
+    """The path with that suffix in place of its own.
+
+    Raises:
+        DataError: it is no path, or names no file.
+    """
+    try:
+        return Path(path).with_suffix(suffix)
+    except (TypeError, ValueError):
+        raise DataError(f"path is {path!r:.80}; give the name of a file to write") from None
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> Path:
     """A file of text, whole or not there; raises as `write_atomically`."""
     return write_atomically(path, lambda file: file.write(text))

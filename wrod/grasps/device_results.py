@@ -4,12 +4,21 @@ import warp as wp
 
 from wrod.grasps.results import SENSITIVITIES
 from wrod.kernels.grasping.reading import Results
+from wrod.machine import require_memory
 
 
 def empty_results(
     rods: int, edges: int, device: str, *, sensitivities: bool, shapes: bool
 ) -> Results:
-    """Uninitialised arrays of `Grasps`; what is not asked for has no entries."""
+    """Uninitialised arrays of `Grasps`; what is not asked for has no entries.
+
+    Raises:
+        DataError: this machine has no memory for them.
+    """
+    if device == "cpu":
+        entries = 20 + 9 * len(SENSITIVITIES) * sensitivities + 4 * (edges + 1) * shapes
+        remedy = "ask for fewer at once" + (", or for no shapes" if shapes else "")
+        require_memory(8.0 * rods * entries, f"{rods} grasps", remedy)
     out = Results()
 
     def floats(*shape, wanted=True):

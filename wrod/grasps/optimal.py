@@ -21,6 +21,7 @@ from wrod.grasps.levels import Ladder, compile_kernels
 from wrod.grasps.results import SENSITIVITIES, Grasps
 from wrod.grasps.solver import held_batch
 from wrod.kernels.grasping.reading import Results
+from wrod.solvers.recording import launching
 from wrod.solvers.stability import smallest_eigenvalue
 
 EDGE_COUNT = 128
@@ -31,6 +32,7 @@ _CPU_CHUNK, _CUDA_CHUNK = 128, 65536
 _KEPT_SHARE = 0.1
 
 
+@launching()
 @arguments.checked(
     GraspError,
     suspended_length=arguments.array(finite=False),

@@ -7,7 +7,7 @@ import numpy as np
 SENSITIVITIES = ("position_sensitivity", "rotation_sensitivity", "force_sensitivity")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Grasps:
     """Optimal grasps, one per input (float64 NumPy, or tensors or Warp arrays
     on the device as the inputs were; dimensionless). `solve_grasps` fills all but the sensitivities

@@ -18,9 +18,10 @@ from wrod.grasps.results import Grasps
 from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import Rod, mesh_arrays, models_of
 from wrod.rods.model import RodModel
+from wrod.solvers.recording import launching
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RodGrasps:
     """Optimal grasps of one rod, one per contact; SI units, contact frame (x along the pattern, z
     up), float64 NumPy.
@@ -64,6 +65,7 @@ class RodGrasps:
         return len(self.position)
 
 
+@launching()
 @arguments.checked(
     GraspError,
     arc_length=arguments.array((), (None,)),

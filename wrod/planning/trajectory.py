@@ -9,8 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod.arguments import shown
 from wrod.errors import DataError, RodError
-from wrod.files import decode_labels, read_fields, schemas, write_csv, write_npz
+from wrod.files import (
+    check_arrays,
+    decode_labels,
+    read_fields,
+    schemas,
+    suffixed,
+    write_csv,
+    write_npz,
+)
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.model_file import rod_of_json
@@ -26,7 +35,7 @@ _ARRAYS = (
 _JUMP, _NO_JUMP, _USUAL, _FEWEST = 10.0, 0.05, 1.0, 6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """Grip poses of a deployment, one per contact node. SI units, z up.
 
@@ -45,6 +54,9 @@ class Trajectory:
             it is not; whole turns count, which `rotation` cannot tell. In the NPZ file only.
         roll: that the rod is put into the grip at: of its first material director where it begins,
             from left towards up [rad].
+
+    Raises:
+        DataError: an array is not as docs/formats.md has it of a trajectory's file.
     """
 
     arc_length: np.ndarray
@@ -56,6 +68,14 @@ class Trajectory:
     shape: np.ndarray | None = None
     twist: np.ndarray | None = None
     roll: float = 0.0
+
+    def __post_init__(self):
+        given = {name: getattr(self, name) for name in _ARRAYS} | {"format": _FORMAT}
+        present = {name: value for name, value in given.items() if value is not None}
+        if not isinstance(self.metadata, dict):
+            raise DataError(f"Trajectory: metadata is {shown(self.metadata)}; it must be a dict")
+        for name, value in check_arrays(present, "Trajectory", "Trajectory").items():
+            object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         return len(self.arc_length)
@@ -103,8 +123,12 @@ class Trajectory:
         return self.arc_length - self.remainder_length
 
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
-        """Write `path` as CSV and NPZ (the suffix of `path` is replaced). Returns both paths."""
-        path = Path(path)
+        """Write `path` as CSV and NPZ (the suffix of `path` is replaced). Returns both paths.
+
+        Raises:
+            DataError: `path` names no file.
+        """
+        csv = suffixed(path, ".csv")
         columns = ["arc_length [m]"]
         columns += [f"{name}_{axis} [m]" for name in ("contact", "position") for axis in "xyz"]
         columns += [f"rotation_{i}{j} [-]" for i in "xyz" for j in "xyz"]
@@ -124,9 +148,9 @@ class Trajectory:
         present = {name: value for name, value in values.items() if value is not None}
         said = [[f"{value:.12g}" for value in row] for row in rows]
         return [
-            write_csv(path.with_suffix(".csv"), columns, said, f"{_FORMAT} {metadata}"),
+            write_csv(csv, columns, said, f"{_FORMAT} {metadata}"),
             write_npz(
-                path.with_suffix(".npz"), format=_FORMAT, units="SI: m, N", metadata=metadata,
+                suffixed(path, ".npz"), format=_FORMAT, units="SI: m, N", metadata=metadata,
                 **present,
             ),
         ]  # fmt: skip

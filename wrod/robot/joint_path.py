@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.files import decode_labels, read_fields, write_csv, write_npz
+from wrod.files import decode_labels, read_fields, suffixed, write_csv, write_npz
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
@@ -18,7 +18,7 @@ _FORMAT = "wrod-joint-path-1"
 _ARRAYS = ("time", "positions", "velocities", "arc_length", "node_time", "node_positions")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JointPath:
     """Joint positions over time at a fixed rate, in the order of the manufacturer's interface.
 
@@ -75,15 +75,15 @@ class JointPath:
 
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write `path` as CSV (fixed rate) and NPZ (also the nodes). Returns both paths."""
-        path, place = Path(path), self.placement
+        csv, place = suffixed(path, ".csv"), self.placement
         metadata = json.dumps(self.metadata, sort_keys=True)
         head = ["time [s]", *(f"{name} [rad]" for name in self.names)]
         rows = np.column_stack([self.time, self.positions])
         said = [[f"{value:.9g}" for value in row] for row in rows]
         return [
-            write_csv(path.with_suffix(".csv"), head, said, f"{_FORMAT} {metadata}"),
+            write_csv(csv, head, said, f"{_FORMAT} {metadata}"),
             write_npz(
-                path.with_suffix(".npz"),
+                suffixed(path, ".npz"),
                 format=_FORMAT,
                 names=np.array(self.names),
                 **{name: getattr(self, name) for name in _ARRAYS},

@@ -18,6 +18,7 @@ from wrod.solvers.contact import Contact
 from wrod.solvers.inelastic import InternalVariables
 from wrod.solvers.inertia import edge_masses, lumped_masses, rounding_of, usual_force
 from wrod.solvers.newton_steps import Follower, NewtonSteps
+from wrod.solvers.recording import launching, record
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.steps import SCHEMES, Motion
 from wrod.solvers.viscosity import Viscosity
@@ -88,6 +89,7 @@ class Dynamics(NewtonSteps):
         RodError: unknown scheme or inertia, a node without mass, or two `RodContact`.
     """
 
+    @launching()
     @arguments.checked(
         RodError,
         radius=arguments.numbers_of_any_shape,
@@ -196,6 +198,7 @@ class Dynamics(NewtonSteps):
         """Record afresh: what `motion` or contacts launch has changed."""
         self._recording = None
 
+    @launching()
     @arguments.checked(
         RodError,
         until=arguments.array((), (None,)),
@@ -258,7 +261,7 @@ class Dynamics(NewtonSteps):
             # taking them; the first round has compiled the kernels.
             if graph is None and taken > 0 and (self.keeps_recording or not self._on_cpu):
                 graph = self._record(take_round)
-                self._recording = (key, graph) if self.keeps_recording else None
+                self._recording = (key, graph) if graph and self.keeps_recording else None
             self._rounds.zero_()
             if graph is None:
                 take_round()
@@ -278,6 +281,7 @@ class Dynamics(NewtonSteps):
             streams.read(self.iteration_count),
         )
 
+    @launching()
     def advance_by(self, duration: float, step: float) -> None:
         """Let every rod that has not diverged move on by a duration, as `advance` does, but tell
         nothing: from the second call on nothing is allocated, and nothing comes back to the host.
@@ -315,9 +319,8 @@ class Dynamics(NewtonSteps):
             return
         take_rounds()
         if self.keeps_recording and decides and not device.is_capturing:
-            with wp.ScopedCapture(device) as capture:
-                take_rounds()
-            self._recording = (key, capture.graph)
+            graph = record(device, take_rounds)
+            self._recording = (key, graph) if graph else None
 
     def launch_times(self, until: float, step: float, rounds: int) -> list[tuple[str, float]]:
         """(name, milliseconds) of all that rounds of steps towards `until` launch on a GPU, one by
@@ -349,16 +352,18 @@ class Dynamics(NewtonSteps):
         outputs = [self._rounds, self._going]
         self.batch.launch_lanes(pace.ask_on, [self.running, most], outputs, rods=1)
 
-    def _record(self, take_round: Callable[[], None]) -> wp.Graph:
+    def _record(self, take_round: Callable[[], None]) -> wp.Graph | None:
         """What takes rounds until all rods are there, or for a while; asking a GPU from outside
-        would make it wait."""
+        would make it wait. None on a CPU where other threads launch."""
         device = self.batch.device
         decides = wp.get_device(device).is_cpu or wp.is_conditional_graph_supported()
-        with wp.ScopedCapture(device) as capture:
+
+        def take_rounds() -> None:
             if decides:
                 self._ask(_ROUNDS)
                 wp.capture_while(self._goes_on, take_round)
             else:
                 for _ in range(_ROUNDS_BLIND):
                     take_round()
-        return capture.graph
+
+        return record(device, take_rounds)

@@ -12,6 +12,7 @@ from wrod.kernels.stepping import newton_iteration as newton
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.banded import BandedSystem
+from wrod.solvers.recording import launching
 
 # Largest change of an edge in one Newton step, as a fraction of its length.
 _STEP_LIMIT = 0.5
@@ -288,6 +289,7 @@ class EquilibriumSolver:
         self._copy(self.active, trial, batch.state)
 
 
+@launching()
 @arguments.checked(RodError)
 def solve_equilibria(batch: RodBatch, **options) -> Equilibria:
     """Bring every rod of `batch` to equilibrium; see `EquilibriumSolver.solve` for the options."""

@@ -28,7 +28,7 @@ _MISSING = 0.1
 _SPACING, _WINDOW = 0.001, 21
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LaidMeasurements:
     """T rods laid along one pattern by one trajectory; SI units, the pattern's frame.
 
