@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.arguments import refuse_idle_options
 
 
 @click.command(name="grasp")
@@ -61,11 +62,11 @@ def command(
 
     device = resolve_device(device)
     if against is not None:
+        refuse_idle_options("--against", "count", "threads", "force")
         counts = counts or ("256,1024" if device == "cpu" else "4096,65536,1048576")
         _compare(against, counts, closures or tuple(CLOSURES), device, patience, as_json)
         return
-    if counts is not None or closures:
-        raise click.UsageError("--counts and --closure are of --against; give it, or drop them")
+    refuse_idle_options("a measurement without --against", "counts", "closure", "patience")
 
     on_gpu = device != "cpu"
     # 3.75 times as many grasps, some of them of closures that take twice as long, with shapes.

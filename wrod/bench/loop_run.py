@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wrod import cost
+from wrod.arguments import refuse_idle_options
 from wrod.bench.loop_measurements import clamped_experiment
 from wrod.bench.loop_report import draw, markdown, summary, write_csv
 from wrod.bench.loop_trials import (
@@ -111,8 +112,21 @@ class Loop:
         return tqdm(many, desc=what, leave=False, disable=self.quiet)
 
 
+def _refuse_idle(loop: Loop) -> None:
+    if loop.recording is not None:
+        idle = ("effect", "rod", "trials", "noise", "seed", "controller", "grasps", "steps")
+        refuse_idle_options("--recording", *idle, "curvature", "lgb-error")
+    elif "natural_curvature" not in (loop.effects or EFFECTS):
+        refuse_idle_options("effects without natural_curvature", "curvature")
+    elif "stiffness" not in (loop.effects or EFFECTS):
+        refuse_idle_options("effects without stiffness", "lgb-error")
+    if "network" not in loop.controllers:
+        refuse_idle_options("no --controller network", "grasps", "steps")
+
+
 def run(loop: Loop) -> dict[str, Any]:
     """All of it; plain figures, the laid curves in files only."""
+    _refuse_idle(loop)
     curves = {name: read_pattern(name, loop.patterns) for name in loop.names or PATTERNS}
     _settle(loop, curves)
     cases, written = (_recorded if loop.recording else _hidden)(loop)

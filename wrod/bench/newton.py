@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.arguments import parse_list
+from wrod.arguments import parse_list, refuse_idle_options
 
 # Steps of the implicit solvers over the period.
 _DER_STEP, _VBD_STEP = 1.0 / 80.0, 1.0 / 400.0
@@ -14,7 +14,8 @@ _SWING = 0.01  # amplitude over the length
 
 
 def _numbers(context, parameter, value: str) -> list[int]:
-    return [int(n) for n in parse_list(value, parameter.opts[0], 1, 10_000, whole=True)]
+    least = 2 if parameter.name == "edges" else 1  # nothing bends between two nodes
+    return [int(n) for n in parse_list(value, parameter.opts[0], least, 10_000, whole=True)]
 
 
 @click.command(name="newton")
@@ -54,6 +55,13 @@ def command(bodies: bool, many: bool, worlds: int, cables: int, as_json: bool, *
 
     # Before newton, which starts Warp: its banner would be the first line of --json.
     import_module("wrod.kernels")
+    table = ("rod", "length", "scale", "iterations", "rods", "periods", "out")
+    if bodies:
+        refuse_idle_options("--bodies", "many", "edges", "device", *table)
+    elif many:
+        refuse_idle_options("--many", *table)
+    if not many:
+        refuse_idle_options("no --many", "worlds", "cables")
     if bodies:
         _measure_bodies(as_json)
         return

@@ -52,7 +52,7 @@ def command(
     from wrod.robot.model import ROBOTS
     from wrod.rods.catalogue import rod_names
 
-    names = list(ROBOTS) if robots == "all" else robots.split(",")
+    names = list(ROBOTS) if robots == "all" else list(dict.fromkeys(robots.split(",")))
     unknown = [name for name in names if name not in ROBOTS]
     if unknown:
         raise RobotError(f"unknown robot {unknown[0]!r}; known robots: {', '.join(ROBOTS)}, all")
@@ -63,7 +63,9 @@ def command(
         raise RobotError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
     for pattern in PATTERNS:  # one that cannot be read is refused before the others are planned
         _curve(pattern, patterns)
-    cases = [(name, p, r) for name in names for r in rods.split(",") for p in PATTERNS]
+    cases = [
+        (name, p, r) for name in names for r in dict.fromkeys(rods.split(",")) for p in PATTERNS
+    ]
     ledger = None
     if out is not None:
         settings = {

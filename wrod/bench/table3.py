@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from wrod.arguments import refuse_idle_options
 from wrod.bench import campaign, courses
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
 from wrod.files.ledger import Ledger
@@ -112,6 +113,8 @@ def _table(
     from wrod.solvers.compiling import compile_steps
 
     asked.check()
+    if not asked.known_table:
+        refuse_idle_options("plans for no table in particular", "workers")
     device, settings = resolve_device(device), asked.settings(how)
     rods, substrates, curves = asked.cells()
     out.mkdir(parents=True, exist_ok=True)

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import click
 
+from wrod.arguments import refuse_idle_options
+
 RODS = ("pink-vps", "green-vps", "rope")
 # Published in Table 4 for rods 1 to 3: numeric solver [s], network [s], position error [m],
 # orientation error, pattern by pattern.
@@ -102,6 +104,8 @@ def command(patterns: Path, weights: Path | None, closure: str, device: str, as_
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
 
+    if weights is not None:
+        refuse_idle_options("--controller", "closure")
     device = resolve_device(device)
     controller = Controller.load(weights, closure=closure)
     curves = {name: Pattern.load(patterns / f"{name}.txt") for name in PATTERNS}

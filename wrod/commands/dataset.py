@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.arguments import refuse_idle_options
 from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, RodOptions, gathered, options
 
 
@@ -54,6 +55,8 @@ def command(
     from wrod.training.dataset import SHARD_SIZE, Rank, generate
     from wrod.training.store import row_bytes
 
+    if sensitivities and closure != "zero_tension":
+        refuse_idle_options(f"--closure {closure}", "sensitivities")
     rod = rod_options.read() if rod_options.given else None
     rank = Rank.from_environment()
     label = "grasps" if rank.count == 1 else f"grasps of rank {rank.index}"

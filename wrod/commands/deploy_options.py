@@ -171,7 +171,7 @@ def _refuse_another_plan(path, curve, rod, another_rod: bool) -> None:
     """Refuse a trajectory that was planned for another pattern, or for another rod."""
     import numpy as np
 
-    from wrod.errors import PatternError, RodError
+    from wrod.errors import PatternError
 
     s = np.clip(path.pattern_arc_length, -curve.remainder_length, curve.length)
     apart = np.linalg.norm(curve.sample(s)[0] - path.contact, axis=1).max()
@@ -181,13 +181,19 @@ def _refuse_another_plan(path, curve, rod, another_rod: bool) -> None:
             f"the trajectory is of {path.metadata.get('pattern', 'another pattern')}, up to "
             f"{apart:.3f} m from {curve.name}; give the pattern that it was planned for"
         )
-    planned = path.metadata.get("rod")
-    if planned is None or another_rod:
-        return
-    for name in ("length", "radius", "gravito_bending_length"):
-        before, now = float(planned[name]), getattr(rod, name)
+    if not another_rod:
+        names = ("length", "radius", "gravito_bending_length")
+        refuse_another_rod(path, rod, names, ", or --another-rod to lay this one all the same")
+
+
+def refuse_another_rod(path, rod, names: tuple[str, ...], remedy: str = "") -> None:
+    """Refuse a trajectory of a rod that has another length or radius, as `names` says."""
+    from wrod.errors import RodError
+
+    for name in names if path.rod is not None else ():
+        before, now = getattr(path.rod, name), getattr(rod, name)
         if abs(now - before) > _SAME_ROD * before:
             raise RodError(
                 f"the trajectory is of a rod whose {name} is {before:g} m, and this one's is "
-                f"{now:g} m; give that rod, or --another-rod to lay this one all the same"
+                f"{now:g} m; give that rod{remedy}"
             )

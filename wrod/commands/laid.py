@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.commands.deploy_options import refuse_another_rod
 from wrod.commands.options import (
     DEVICE,
     ROD,
@@ -130,6 +131,7 @@ def command(
     fit.check()
     path = Trajectory.load(trajectory)
     if fit.iterations > 0:
+        refuse_another_rod(path, rod_options.read(), ("length", "radius"))
         fit.settle(rod_options.read(), as_json)
     curve = with_remainder_of(reading.read(pattern), path)
     laid = load_laid(list(rods), curve, units=reading.units, noise=noise)

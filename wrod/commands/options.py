@@ -186,7 +186,7 @@ class PatternOptions:
             return _scanned(path, units, of_picture)
         if of_picture:
             named = ", ".join(f"--{option}" for option in of_picture)
-            raise PatternError(f"{named} belong to a picture, and {name} is none; drop them")
+            raise PatternError(f"{name} is no picture; leave out {named}")
         if name in pattern_names() and not path.is_file():
             if units is not None:
                 raise PatternError(f"{name} is built in and has its size in metres; drop --units")

@@ -120,6 +120,8 @@ class _GraspRequest:
 
         if self.method == "intuitive":
             refuse_idle_options("--method intuitive", "closure", "pace")
+        if self.method in ("intuitive", "numeric"):
+            refuse_idle_options(f"--method {self.method}", "controller")
         if self.friction_text is None:
             refuse_idle_options("a plan without --friction", "pace")
         file = self.controller_file

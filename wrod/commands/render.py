@@ -16,6 +16,13 @@ def _size(ctx, param, value: str) -> tuple[int, int]:
     return width, height
 
 
+# Suffixes of what other programs draw.
+_OTHERS = (
+    ".jpg", ".jpeg", ".gif", ".tif", ".tiff", ".bmp", ".webp", ".svg", ".pdf", ".exr", ".mp4",
+    ".mov", ".avi", ".mkv", ".webm", ".htm",
+)  # fmt: skip
+
+
 @click.command(name="render")
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder, PNG or HTML.")
@@ -49,6 +56,8 @@ def command(
     if not scene.exists():
         raise DataError(f"{scene}: no such file; give a .usdc, .usda or .usd stage")
     page = out.suffix.lower() == ".html"
+    if not page and out.suffix.lower() in _OTHERS:
+        raise DataError(f"{out}: pictures are .png, pages .html; name one, or a folder of pictures")
     if page:
         refuse_idle_options("a page", "frames", "size", "moments")
     elif moments:

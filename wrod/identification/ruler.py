@@ -113,6 +113,10 @@ def measure_overhang(overhang: float, fall: float, reading: float = 1e-3) -> Mea
         slope = float((at[1] - at[0]) / (0.001 * length))
         length += (ratio - at[0]) / slope
     found = overhang / length
+    if not reading < fall:
+        raise DataError(
+            f"a ruler that is off by {reading:g} m shows no fall of {fall:g} m; check the numbers"
+        )
     # found = overhang / length(fall / overhang)
     to_fall = found / length / slope / overhang
     to_overhang = 1.0 / length + found / length / slope * ratio / overhang

@@ -7,6 +7,7 @@ from typing import cast
 
 import numpy as np
 
+from wrod.arguments import shown
 from wrod.errors import PatternError
 
 _OPERATORS: dict[type[ast.AST], Callable] = {
@@ -37,12 +38,12 @@ def compile_expression(text: str, variable: str) -> Callable[[np.ndarray], np.nd
     try:
         tree = ast.parse(text.replace("^", "**").strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise PatternError(f"expression {text!r} cannot be read: {error}") from None
+        raise PatternError(f"expression {shown(text)} cannot be read: {error}") from None
 
     def refuse(node: ast.AST) -> PatternError:
         part = ast.unparse(node)
         return PatternError(
-            f"expression {text!r}: {part!r} is not understood; use numbers, {variable}, pi, e, "
+            f"expression {shown(text)}: {shown(part)} is not understood; use numbers, {variable}, pi, e, "
             f"+ - * / ** and {', '.join(sorted(_FUNCTIONS))}"
         )
 
@@ -80,11 +81,11 @@ def compile_expression(text: str, variable: str) -> Callable[[np.ndarray], np.nd
             with np.errstate(all="ignore"):
                 result = value(t) + np.zeros_like(t)
         except (OverflowError, ZeroDivisionError, ValueError, TypeError) as error:
-            raise PatternError(f"expression {text!r} cannot be evaluated: {error}") from None
+            raise PatternError(f"expression {shown(text)} cannot be evaluated: {error}") from None
         if np.iscomplexobj(result) or not np.all(np.isfinite(result)):
             bad = t[~np.isfinite(result)] if not np.iscomplexobj(result) else t
             raise PatternError(
-                f"expression {text!r} has no finite value at {variable} = {bad[0]:g}; "
+                f"expression {shown(text)} has no finite value at {variable} = {bad[0]:g}; "
                 "choose another range"
             )
         return result

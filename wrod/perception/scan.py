@@ -214,7 +214,24 @@ def oriented(result: Scan, start: str | tuple[float, float] = "lower-left") -> n
         first = int(((points - target) ** 2).sum(1).argmin())
         return np.vstack([points[first:-1], points[: first + 1]])
     ends = ((points[[0, -1]] - target) ** 2).sum(1)
+    if not isinstance(start, str):
+        _refuse_far_start(result, target, float(np.sqrt(ends.min())))
     return points if ends[0] <= ends[1] else points[::-1]
+
+
+def _refuse_far_start(result: Scan, target: np.ndarray, distance: float) -> None:
+    """Refuse a point that is farther from the curve's ends [m] than the picture is large."""
+    size = float(np.hypot(*np.ptp(_corners(result), axis=0)))
+    if distance > size:
+        raise PerceptionError(
+            f"{result.name}: start {target[0]:g}, {target[1]:g} is {distance:.3g} m from the "
+            f"nearest end of the curve, and the picture shows {size:.3g} m; give it in metres"
+        )
+
+
+def _corners(result: Scan) -> np.ndarray:
+    height, width = result.image.shape[:2]
+    return result.plane.to_metres(np.array([[0, 0], [width, 0], [width, height], [0, height]]))
 
 
 def _start_point(result: Scan, start: str | tuple[float, float]) -> np.ndarray:
@@ -232,8 +249,7 @@ def _start_point(result: Scan, start: str | tuple[float, float]) -> np.ndarray:
         return result.plane.to_metres(result.dots)[0]
     if start not in CORNERS:
         raise PerceptionError(f"start {start!r}: give x and y, dot, or one of {', '.join(CORNERS)}")
-    height, width = result.image.shape[:2]
-    corners = result.plane.to_metres(np.array([[0, 0], [width, 0], [width, height], [0, height]]))
+    corners = _corners(result)
     low, high = corners.min(0), corners.max(0)
     return np.array(
         [low[0] if "left" in start else high[0], low[1] if "lower" in start else high[1]]
