@@ -43,8 +43,8 @@ def compile_expression(text: str, variable: str) -> Callable[[np.ndarray], np.nd
     def refuse(node: ast.AST) -> PatternError:
         part = ast.unparse(node)
         return PatternError(
-            f"expression {shown(text)}: {shown(part)} is not understood; use numbers, {variable}, pi, e, "
-            f"+ - * / ** and {', '.join(sorted(_FUNCTIONS))}"
+            f"expression {shown(text)}: {shown(part)} is not understood; use numbers, {variable}, "
+            f"pi, e, + - * / ** and {', '.join(sorted(_FUNCTIONS))}"
         )
 
     def build(node: ast.AST):
