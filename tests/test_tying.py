@@ -17,6 +17,7 @@ from wrod.knots.moves import hand_path
 from wrod.knots.plan import KnotPlan, Move
 from wrod.knots.topology import diagram, recognise_knot
 from wrod.knots.trials import Handling, TyingResult
+from wrod.knots.tying import tie
 from wrod.knots.tying_run import TyingRun
 from wrod.knots.workbench import Poses, Workbench
 from wrod.solvers.contact import Friction
@@ -214,6 +215,20 @@ def test_shipped_plans(name):
         assert pattern.length < rod.length
         curvature = pattern.sample(np.linspace(0.0, pattern.length, 300))[2]
         assert np.abs(curvature).max() * rod.gravito_bending_length < 1.6
+
+
+@pytest.mark.slow
+def test_reef_knot_is_laid_flat_and_holds():
+    """A loop that is folded over itself lies with both its ears beyond its middle, and has to turn
+    over before it is a reef knot: the pull may draw the other rod out of it first."""
+    plan = KnotPlan.load_plan(KNOTS / "reef.json")
+    (result,) = tie(plan, [Handling()])
+    assert result.success and result.tied.share >= 0.9
+    green, pink = result.stages["tied"]
+    loop = np.argmax(pink[:, 0])
+    assert loop / len(pink) == pytest.approx(0.40 / plan.rods[1][1].length, abs=0.04)
+    ends = green[[0, -1], 0]
+    assert (ends > pink[loop, 0] + 0.02).all()
 
 
 @pytest.mark.parametrize(
