@@ -25,7 +25,7 @@ from wrod.errors import RodError
 def test_cables_bear_a_box(density):
     """The force on two sagging cables is the weight of the box, of a hundredth to a thousand times
     theirs, within 1e-6; nothing is deeper in the other than 5 % of a radius."""
-    found, weight, scene = borne(density)
+    found, weight, scene = borne(density, DEVICE)
     assert not scene.solver.diverged.any()
     assert found == pytest.approx(weight, rel=1e-6)
     assert 0.0 < scene.solver._groups[0].contact.penetration()[0] < 0.05 * CABLE.radius
@@ -35,7 +35,7 @@ def test_cables_bear_a_box(density):
 def test_a_ball_hits_a_cable(scheme):
     """Afloat, beside the middle, with friction: momentum stays to rounding, that of rotation within
     the step (of first order in an impact); the ball has given a third of it away, and spins."""
-    before, after, motion = collision(scheme)
+    before, after, motion = collision(scheme, device=DEVICE)
     given = before[0]
     assert np.abs(after[:3] - before[:3]).max() < 1e-12 * given
     assert np.abs(after[3:] - before[3:]).max() < 2e-3 * given * 0.05
@@ -45,8 +45,10 @@ def test_a_ball_hits_a_cable(scheme):
 def test_friction_on_bars_holds_and_lets_go():
     """On two bars down a slope below arctan(mu) a box does not creep; above it gains
     g (sin - mu cos)."""
-    assert abs(slide(0.4)) < 1e-5
-    assert slide(0.6) == pytest.approx(9.81 * (np.sin(0.6) - 0.5 * np.cos(0.6)), rel=3e-3)
+    assert abs(slide(0.4, device=DEVICE)) < 1e-5
+    assert slide(0.6, device=DEVICE) == pytest.approx(
+        9.81 * (np.sin(0.6) - 0.5 * np.cos(0.6)), rel=3e-3
+    )
 
 
 def test_friction_stays_in_its_cone():
@@ -74,7 +76,7 @@ def test_friction_stays_in_its_cone():
 def test_a_block_bears_the_cable_that_it_holds():
     """It hangs down over the block's edge, which presses on it; where the block holds it, it does
     not. The cable above carries the weight of all within 1e-6."""
-    top, weight, pressing = over_its_block()
+    top, weight, pressing = over_its_block(DEVICE)
     assert top == pytest.approx(weight, rel=1e-6)
     assert pressing > 0.1
 
@@ -164,7 +166,7 @@ class Derivative:
             scene.box(at, half, turn) if box else scene.ball(at)
         scene.rod(along(0, 0.3, 6, (0.15, 0.0, 0.0224)), start="clamped", start_body=0)
         scene.rod(along(1, 0.2, 6, (0.055, 0.0, -0.0224)))
-        scene.begin(tolerance=1e-16)
+        scene.begin(DEVICE, tolerance=1e-16)
         scene.run(1, 1e-5)
         (group,) = scene.solver._groups
         # How damping turns with the normal is left out of the matrix, of rods and of bodies.

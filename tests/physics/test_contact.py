@@ -55,6 +55,14 @@ def test_rest_on_the_table():
     z = batch.positions()[0, :, 2]
     assert 0.95 * RADIUS < z.min() <= z.max() < RADIUS
     assert contact.force.numpy()[0].sum(axis=0)[2] == pytest.approx(WEIGHT * 0.07, rel=1e-4)
+    # What it stores is the work of that force on the way down.
+    dof, stored = batch.state.dof.numpy().copy(), []
+    for lift in (1e-9, -1e-9):
+        lifted = dof.copy()
+        lifted[:, 2::4] += lift
+        batch.state.dof.assign(lifted)
+        stored.append(contact.energy()[0])
+    assert (stored[1] - stored[0]) / 2e-9 == pytest.approx(WEIGHT * 0.07, rel=1e-4)
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

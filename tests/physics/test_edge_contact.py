@@ -80,20 +80,26 @@ def test_hessian_is_the_derivative_of_the_forces(name, rolling):
         out = batch.derivatives
         out.gradient.zero_()
         out.hessian.zero_()
-        contact.add(batch.every_rod, wp.array(dof), before)
-        return out.gradient.numpy().copy(), out.hessian.numpy().copy()
+        batch.state.dof.assign(dof)
+        contact.add(batch.every_rod, batch.state.dof, before)
+        return out.gradient.numpy().copy(), out.hessian.numpy().copy(), contact.energy()
 
-    band, size = forces(dof)[1], dof.shape[1]
+    force, band, _ = forces(dof)
+    size = dof.shape[1]
     matrix, numeric = np.zeros((2, len(dof), size, size))
+    slope = np.zeros_like(force)
     for a in range(size):
         for k in range(min(a, 10) + 1):
             matrix[:, a, a - k] = matrix[:, a - k, a] = band[:, a, k]
         step = np.zeros(size)
         step[a] = 1e-8
-        numeric[:, :, a] = (forces(dof + step)[0] - forces(dof - step)[0]) / 2e-8
+        up, down = forces(dof + step), forces(dof - step)
+        numeric[:, :, a] = (up[0] - down[0]) / 2e-8
+        slope[:, a] = (up[2] - down[2]) / 2e-8
     error = np.abs(matrix - numeric).max(axis=(1, 2)) / np.abs(matrix).max(axis=(1, 2))
     # A kink of the law (face to edge) may lie within the difference's step.
     assert np.sort(error)[-3] < 1e-6
+    assert slope == pytest.approx(force, abs=1e-6 * np.abs(force).max())
 
 
 def test_rod_leans_on_a_pin_between_two_nodes():

@@ -110,20 +110,20 @@ def on_cables(density: float = 500.0, **options) -> tuple[Scene, int]:
     return scene, box
 
 
-def borne(density: float) -> tuple[float, float, Scene]:
+def borne(density: float, device: str = "cpu") -> tuple[float, float, Scene]:
     """Force on the cables of a box at rest, and its weight [N]."""
-    scene, box = on_cables(density)
+    scene, box = on_cables(density, device=device)
     scene.run(150, 0.05)
     return -float(scene.pressed()[2]), scene.weight(box), scene
 
 
-def slide(angle: float, mu: float = 0.5) -> float:
+def slide(angle: float, mu: float = 0.5, device: str = "cpu") -> float:
     """Acceleration of a box on two stiff bars down a slope [m/s^2]."""
     scene = Scene((_G * np.sin(angle), 0.0, -_G * np.cos(angle)), mu)
     for y in (-0.04, 0.04):
         scene.rod(along(0, 0.6, 30, (0.0, y, 0.0)), BAR, start="clamped", end="clamped")
     box = scene.box((-0.1, 0.0, 0.024))
-    scene.begin()
+    scene.begin(device)
     steps = 96
     x, t = scene.run(steps, body=box)[:, 0], _STEP * np.arange(1, steps + 1)
     return 2.0 * float(np.polyfit(t[steps // 2 :], x[steps // 2 :], 2)[0])
@@ -143,7 +143,7 @@ def collision(scheme: str = "bdf2", **options) -> tuple[np.ndarray, np.ndarray, 
     return before, scene.momentum(), scene.state.body_qd.numpy()[ball].copy()
 
 
-def over_its_block() -> tuple[float, float, float]:
+def over_its_block(device: str = "cpu") -> tuple[float, float, float]:
     """A block hangs on one cable and holds another, which hangs down over its edge: force at the
     top and the weight of all [N]; the force with which the block bears its own cable [N]."""
     scene = Scene()
@@ -152,7 +152,7 @@ def over_its_block() -> tuple[float, float, float]:
               end="clamped", air_damping=5.0)  # fmt: skip
     over = along(0, 0.3, 30, (0.15, 0.0, 0.0231))
     held = scene.rod(over, start="clamped", start_body=block, air_damping=5.0)
-    scene.begin(scheme="euler", tolerance=1e-9)
+    scene.begin(device, scheme="euler", tolerance=1e-9)
     scene.run(200, 0.05, block)
     der = scene.model.der
     reaction = scene.solver._groups[0].dynamics.reaction.numpy()[0]

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.newton_solver import SolverDER
 from wrod.rods.material import RodMaterial
+from wrod.solvers.dynamics import Dynamics
 
 _FRAME = 1.0 / 60.0
 _LAST = 30  # frames at the end of which the pile lies
@@ -140,6 +141,11 @@ def deepest_of(lines: list[np.ndarray], radius: float) -> float:
     return float(max(0.0, 2.0 - np.linalg.norm(way, axis=1).min() / radius))
 
 
+def energy_of(dynamics: Dynamics) -> float:
+    """All of a pile's energy [J]: what it gives back of that of contact is no gain."""
+    return float(dynamics.energy()[0] + dynamics.contact_energy()[0])
+
+
 def measure(heap, scene: str, solver: str, frames: int) -> dict:
     """Times of a pile's frames after the first two, and how deep its cables are in each other."""
     for _ in range(2):
@@ -147,7 +153,7 @@ def measure(heap, scene: str, solver: str, frames: int) -> dict:
     dynamics = heap.solver._groups[0].dynamics if isinstance(heap, Pile) else None
     times: list[float] = []
     deep, deepest, rise = 0.0, 0.0, 0.0
-    last = scale = dynamics.energy()[0] if dynamics else 0.0
+    last = scale = energy_of(dynamics) if dynamics else 0.0
     before = dynamics.iteration_count.numpy()[0] if dynamics else 0
     while len(times) < frames and sum(times) < _PATIENCE:
         wp.synchronize()
@@ -158,7 +164,7 @@ def measure(heap, scene: str, solver: str, frames: int) -> dict:
         deep = deepest_of(heap.lines(), heap.radius)
         deepest = max(deepest, deep)
         if dynamics:
-            now = dynamics.energy()[0]
+            now = energy_of(dynamics)
             rise, last = max(rise, now - last), now
     row = {
         "scene": scene, "solver": solver, "frames": len(times),

@@ -31,6 +31,7 @@ _RARE = (
     "grasping.iteration:solve_general",
     "contact.depths",
     "contact.edges",
+    "contact.energies",
     "linear.coupling",
     "contact.rods",
     "grasping.reading:read_general",

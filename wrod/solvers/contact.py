@@ -7,11 +7,12 @@ import warp as wp
 
 from wrod import arguments
 from wrod.errors import RodError
-from wrod.kernels.contact import linearised
+from wrod.kernels.contact import energies, linearised
 from wrod.kernels.contact import planes as kernels
 from wrod.kernels.contact import rolling as rolls
 from wrod.kernels.contact.shapes import NOTHING, Shape
 from wrod.rods.batch import RodBatch
+from wrod.rods.discretisation import cells
 from wrod.solvers.carried_shapes import CarriedShapes
 from wrod.solvers.edge_contact import EdgeContact
 from wrod.solvers.friction import Friction, FrictionField, contact_damping
@@ -137,14 +138,15 @@ class Contact:
                 raise RodError(f"Contact: passive must be truths of shape {(rods, nodes)}")
             idle = np.asarray(self.passive)
         damping = contact_damping(np.broadcast_to(self.restitution, (rods,)))
-        ratio = batch.node_mass.numpy() / (stiffness * _node_lengths(batch))
+        firm = stiffness * cells(batch.rest_length.numpy())
+        ratio = batch.node_mass.numpy() / firm
         field = self.friction_field
         self._model = model = kernels.Touchable()
         model.shapes, model.rest_length = shapes, batch.rest_length
         model.static_friction, model.kinetic_friction = floats(static), floats(kinetic)
         model.roll_friction, model.rolling = floats(self._kept(roll, rolling)), floats(rolling)
         model.radius = floats(np.where(idle, -_FAR, radius))
-        model.stiffness = floats(stiffness * _node_lengths(batch))
+        model.stiffness = floats(firm)
         model.skin = floats(_SKIN * radius)
         model.relaxation = floats(damping[:, None] * np.sqrt(ratio))
         everywhere = np.ones((1, 1)), (0.0, 0.0, 1.0, 1.0)
@@ -371,6 +373,16 @@ class Contact:
         if self._has_fixtures:
             self._edges.settle(self.time_step, accepted, dof, dof_before, self.slip, self.force)
 
+    def energy(self) -> np.ndarray:
+        """(rod,) elastic energy of what touches now, with that of its friction."""
+        batch = self.batch
+        energy = wp.zeros(batch.rod_count, dtype=wp.float64, device=batch.device)
+        inputs = [self._model, batch.state.dof, self._bristle, self._turned]
+        batch.launch(energies.add_node_energy, self.slip.shape, inputs, [energy])
+        if self._has_fixtures:
+            self._edges.add_energy(batch.state.dof, energy)
+        return energy.numpy()
+
     def penetration(self) -> np.ndarray:
         """(rod,) how deep each rod is in any box or cylinder now [length]."""
         if not self._has_fixtures:
@@ -386,12 +398,3 @@ def _per_node(name: str, values, shape: tuple[int, int]) -> np.ndarray:
     if not (np.isfinite(values) & (values > 0)).all():
         raise RodError(f"contact {name} must be positive and finite")
     return arguments.spread(values, shape, f"contact {name}", RodError)
-
-
-def _node_lengths(batch: RodBatch) -> np.ndarray:
-    """(rod, node) rest length that belongs to each node."""
-    rest = batch.rest_length.numpy()
-    lengths = np.zeros((batch.rod_count, batch.node_count))
-    lengths[:, :-1] += rest / 2
-    lengths[:, 1:] += rest / 2
-    return lengths

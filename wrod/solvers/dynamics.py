@@ -194,6 +194,11 @@ class Dynamics(NewtonSteps):
             kinetic -= np.einsum("re,rek->r", self.edge_mass.numpy() / 12.0, stretching)
         return kinetic + self.batch.evaluate(order=1).energy.numpy()
 
+    def contact_energy(self) -> np.ndarray:
+        """(rod,) elastic energy of what touches, shapes and rods, with that of its friction."""
+        stored = [contact.energy() for contact in self.contacts if hasattr(contact, "energy")]
+        return sum(stored, np.zeros(self.batch.rod_count))
+
     def forget_recording(self) -> None:
         """Record afresh: what `motion` or contacts launch has changed."""
         self._recording = None

@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 
-from wrod.kernels.contact import depths
+from wrod.kernels.contact import depths, energies
 from wrod.kernels.contact import edges as kernels
 from wrod.kernels.contact.planes import Touchable
 from wrod.rods.batch import RodBatch
@@ -109,6 +109,10 @@ class EdgeContact:
         outputs = [self.bristle, self.sliding, self.turned, slip, force, *pushes]
         self._launch(kernels.settle_edges, inputs, outputs)
         self._launch(depths.swell, [self._speed, step, accepted], [self._model, self._hidden])
+
+    def add_energy(self, dof: wp.array, energy: wp.array) -> None:
+        inputs = [self._model, dof, self.bristle, self.turned]
+        self._launch(energies.add_edge_energy, inputs, [energy])
 
     def penetration(self, dof: wp.array) -> np.ndarray:
         """(rod,) deepest penetration into any fixture [length]."""

@@ -9,7 +9,7 @@ import warp as wp
 
 from wrod import arguments
 from wrod.errors import RodError
-from wrod.kernels.contact import pair_contact, touching
+from wrod.kernels.contact import energies, pair_contact, touching
 from wrod.kernels.contact import pairs as contact_pairs
 from wrod.kernels.contact import rods as kernels
 from wrod.kernels.contact.segments import AT_END, AT_START, EDGE, SPLINE
@@ -315,6 +315,14 @@ class RodContact:
     def forces(self) -> np.ndarray:
         """(rod, node, 3) contact force on each node at the end of the last step."""
         return self.force.numpy().copy()
+
+    def energy(self) -> np.ndarray:
+        """(rod,) elastic energy of what touches now, with that of its friction."""
+        batch = self.batch
+        energy = wp.zeros(batch.rod_count, dtype=wp.float64, device=batch.device)
+        inputs = [self.pieces, batch.state.dof, self.partner_count, self.partner, self.rubbing]
+        batch.launch(energies.add_pair_energy, self.partner_count.shape, inputs, [energy])
+        return energy.numpy()
 
     def check_capacity(self) -> None:
         """Raise RodError if some edge was near to more edges than there is room for."""
