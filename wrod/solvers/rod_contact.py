@@ -115,10 +115,6 @@ class RodContact:
         if not (np.isfinite(stiffness) & (stiffness > 0)).all():
             raise RodError("contact stiffness must be positive and finite")
         rest = batch.rest_length.numpy()
-        arc = np.zeros((rods, nodes))
-        # Rods are strangers to each other: as far apart as can be along the row.
-        far = 1e3 * (rest.sum(axis=1) + radius.sum(axis=1))[:, None]
-        arc[:, 1:] = np.cumsum(np.where(cut, far, rest), axis=1)
 
         def floats(values):
             return wp.array(np.ascontiguousarray(values), dtype=wp.float64, device=device)
@@ -143,7 +139,7 @@ class RodContact:
         self._splines = int(smooth)
         self.reach = floats(way * np.where(cut, np.inf, radius).min(axis=1))
         self._largest_radius = floats(np.where(cut, 0.0, radius).max(axis=1))
-        self._arc = floats(arc)
+        self._arc = floats(_arcs(rest, radius, cut))
         groups = -(-edges // int(contact_pairs.GROUP))
         self._lower, self._upper = zeros(wp.vec3d, groups), zeros(wp.vec3d, groups)
         self.partner_count = zeros(wp.int32, edges)
@@ -332,6 +328,12 @@ class RodContact:
                 f"the rods of row {full[0]} touch in more places than there is room for; "
                 f"give RodContact more than {self.partner.shape[2]} partners or use longer edges"
             )
+
+
+def _arcs(rest: np.ndarray, radius: np.ndarray, cut: np.ndarray) -> np.ndarray:
+    """(rod, node) way along the row. Rods are strangers to each other: as far apart as can be."""
+    far = 1e3 * (rest.sum(axis=1) + radius.sum(axis=1))[:, None]
+    return np.pad(np.cumsum(np.where(cut, far, rest), axis=1), ((0, 0), (1, 0)))
 
 
 def _splines(cut: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
