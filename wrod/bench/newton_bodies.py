@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from wrod.bench import newton_lag, newton_plectoneme, newton_touching
+from wrod.bench import newton_laid, newton_lag, newton_plectoneme, newton_touching
 from wrod.bench.newton_piles import Pile
 from wrod.newton_solver import SolverDER
 from wrod.rods.batch import RodBatch
@@ -253,6 +253,7 @@ def measure() -> Iterator[tuple[str, str, str]]:
             yield what, f"{found:.4f}", f"{expected:.4f}"
     yield from newton_lag.measure()
     yield from newton_touching.measure()
+    yield from newton_laid.measure()
     yield from newton_plectoneme.measure()
     pile = Pile()
     cost = pile.run(90)
