@@ -26,7 +26,7 @@ CORRECTED_PLAN, LOOKING_ON = 15.0, 300.0
 RECORDING, JOINT_PATH, PLAN, BEND, KNOT_STEP = 7.0, 12.0, 0.5, 90.0, 0.6
 # A row of `wrod bench newton` beside an edge in an iteration of Newton's cable; its scenes of
 # bodies, and of many worlds and of a pile, for each edge; what hangs in a hand, and what loops do.
-NEWTON_ROW, VBD_EDGE, NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 5.0, 8e-7, 70.0, 1e-3, 1e-3
+NEWTON_ROW, VBD_EDGE, NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 5.0, 8e-7, 85.0, 1e-3, 1e-3
 HAND, FOLD, LOOPS, EXPERIMENT = 28.0, 60.0, 60.0, 10.0
 # Kernels compiled for a CPU: what commands launch, and the others.
 KERNELS, RARE_KERNELS = 110.0, 40.0

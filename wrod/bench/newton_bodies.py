@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from wrod.bench import newton_laid, newton_lag, newton_plectoneme, newton_touching
+from wrod.bench import newton_lag, newton_laid, newton_plectoneme, newton_touching
 from wrod.bench.newton_piles import Pile
 from wrod.newton_solver import SolverDER
 from wrod.rods.batch import RodBatch
