@@ -19,12 +19,17 @@ wp.set_module_options({"enable_backward": False})
 @wp.struct
 class Press:
     """How deep bodies are in each other and by how much deeper than at the start of the step, how
-    far the first has gone over the other, and where they press."""
+    far the first has gone over the other, and where they press; where the points are that tell the
+    depth, and those that friction holds."""
 
     depth: wp.float64
     closing: wp.float64
     moved: wp.vec3d
     place: wp.vec3d
+    point: wp.vec3d
+    point_there: wp.vec3d
+    grip: wp.vec3d
+    grip_there: wp.vec3d
 
 
 @wp.func
@@ -60,13 +65,17 @@ def press(
         its_was = pose_in_row(body, before, m.row, m.other)
     out.depth = depth_of(m, mine, its)
     out.closing = out.depth - depth_of(m, was, its_was)
-    moved = from_pose(mine, m.grip) - from_pose(was, m.grip)
-    moved = moved - from_pose(its, m.grip_there) + from_pose(its_was, m.grip_there)
+    out.point = from_pose(mine, m.point)
+    out.point_there = from_pose(its, m.point_there)
+    out.grip = from_pose(mine, m.grip)
+    out.grip_there = from_pose(its, m.grip_there)
+    moved = out.grip - from_pose(was, m.grip)
+    moved = moved - out.grip_there + from_pose(its_was, m.grip_there)
     out.moved = moved - wp.dot(moved, m.normal) * m.normal
     # What is round stays above where it presses as it rolls on.
-    out.place = from_pose(mine, m.point) + m.reach * m.normal
+    out.place = out.point + m.reach * m.normal
     if m.reach_there > m.reach:
-        out.place = from_pose(its, m.point_there) - m.reach_there * m.normal
+        out.place = out.point_there - m.reach_there * m.normal
     return out
 
 
@@ -117,7 +126,7 @@ def add_block(
     arm: wp.vec3d,
     arm_other: wp.vec3d,
 ):
-    """J^T G J of the motions of two bodies, where J = [1, -arm x]."""
+    """J^T G J' of the motions of two bodies, where J = [1, -arm x]."""
     left = wp.skew(arm)
     right = -wp.skew(arm_other)
     g_right = g * right
@@ -164,16 +173,22 @@ def push_bodies(
         return
     h = hold(m, p, bristle[i], span[r])
     g = h.force * m.normal + h.pull
-    block = h.tangential + wp.outer(h.slope * m.normal + h.coupling, m.normal)
-    arm = p.place - now.place[r, m.slot]
+    normal = wp.outer(h.slope * m.normal + h.coupling, m.normal)
+    mine = now.place[r, m.slot]
+    arm = p.place - mine
     add_wrench(push_out, r, m.slot, g, arm)
-    add_block(matrix_out, r, m.slot, m.slot, block, arm, arm)
+    add_block(matrix_out, r, m.slot, m.slot, normal, arm, p.point - mine)
+    add_block(matrix_out, r, m.slot, m.slot, h.tangential, arm, p.grip - mine)
     if m.other >= 0:
-        arm_there = p.place - now.place[r, m.other]
+        its = now.place[r, m.other]
+        arm_there = p.place - its
         add_wrench(push_out, r, m.other, -g, arm_there)
-        add_block(matrix_out, r, m.other, m.other, block, arm_there, arm_there)
-        add_block(matrix_out, r, m.slot, m.other, -block, arm, arm_there)
-        add_block(matrix_out, r, m.other, m.slot, -block, arm_there, arm)
+        add_block(matrix_out, r, m.other, m.other, normal, arm_there, p.point_there - its)
+        add_block(matrix_out, r, m.other, m.other, h.tangential, arm_there, p.grip_there - its)
+        add_block(matrix_out, r, m.slot, m.other, -normal, arm, p.point_there - its)
+        add_block(matrix_out, r, m.slot, m.other, -h.tangential, arm, p.grip_there - its)
+        add_block(matrix_out, r, m.other, m.slot, -normal, arm_there, p.point - mine)
+        add_block(matrix_out, r, m.other, m.slot, -h.tangential, arm_there, p.grip - mine)
 
 
 @wp.kernel

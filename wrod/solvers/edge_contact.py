@@ -110,12 +110,19 @@ class EdgeContact:
         self._launch(kernels.settle_edges, inputs, outputs)
         self._launch(depths.swell, [self._speed, step, accepted], [self._model, self._hidden])
 
+    def _place_carried(self) -> None:
+        """Where bodies are now: a midpoint step leaves shapes halfway."""
+        if self.carried is not None:
+            self.carried.place(self._model.shapes, self.batch.every_rod)
+
     def add_energy(self, dof: wp.array, energy: wp.array) -> None:
+        self._place_carried()
         inputs = [self._model, dof, self.bristle, self.turned]
         self._launch(energies.add_edge_energy, inputs, [energy])
 
     def penetration(self, dof: wp.array) -> np.ndarray:
         """(rod,) deepest penetration into any fixture [length]."""
+        self._place_carried()
         depth = wp.zeros(self.batch.rod_count, dtype=wp.float64, device=self.batch.device)
         self._launch(depths.measure_depth, [self._model, self._hidden, dof], [depth])
         return depth.numpy().copy()
