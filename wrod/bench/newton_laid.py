@@ -100,19 +100,14 @@ def along(axis: int, length: float, edges: int, at=(0.0, 0.0, 0.0)) -> np.ndarra
     return points
 
 
-def on_cables(density: float = 500.0, **options) -> tuple[Scene, int]:
-    """A box lies down on two cables that are clamped at both ends."""
+def borne(density: float, device: str = "cpu") -> tuple[float, float, Scene]:
+    """A box lies down on two cables that are clamped at both ends: force on the cables at rest, and
+    the box's weight [N]."""
     scene = Scene(density=density)
     for y in (-0.04, 0.04):
         scene.rod(along(0, 0.6, 30, (0.0, y, 0.0)), start="clamped", end="clamped", air_damping=5)
     box = scene.box((0.0, 0.0, 0.0231))
-    scene.begin(**({"scheme": "euler", "tolerance": 1e-9} | options))
-    return scene, box
-
-
-def borne(density: float, device: str = "cpu") -> tuple[float, float, Scene]:
-    """Force on the cables of a box at rest, and its weight [N]."""
-    scene, box = on_cables(density, device=device)
+    scene.begin(device, scheme="euler", tolerance=1e-9)
     scene.run(150, 0.05)
     return -float(scene.pressed()[2]), scene.weight(box), scene
 
@@ -129,13 +124,13 @@ def slide(angle: float, mu: float = 0.5, device: str = "cpu") -> float:
     return 2.0 * float(np.polyfit(t[steps // 2 :], x[steps // 2 :], 2)[0])
 
 
-def collision(scheme: str = "bdf2", **options) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def collision(scheme: str, device: str = "cpu") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Momentum (6,) of all before and after a ball has hit a cable afloat, beside its middle, and
     the ball's velocity and spin (6,) then."""
     scene = Scene((0.0, 0.0, 0.0), mu=0.3)
     scene.rod(along(1, 0.6, 30), air_damping=0.0)
     ball = scene.ball((-0.03, 0.05, 0.002))
-    scene.begin(scheme=scheme, **({"tolerance": 1e-12} | options))
+    scene.begin(device, scheme=scheme, tolerance=1e-12)
     scene.throw(ball, (1.0, 0.0, 0.0))
     scene.run(1, body=ball)
     before = scene.momentum()
