@@ -236,3 +236,33 @@ def test_newton_steps_are_those_of_differences(box):
     scene.residual(z)
     scene.bodies.touch.zero_()
     assert np.abs(matrix @ scene.step() - residual).max() > 1e-2 * largest
+
+
+def test_forces_and_moments_are_equal_and_opposite():
+    """Of curved rods whose roll a ball holds by friction, in the middle of a Newton step: forces on
+    nodes, their moments and torques about edges, and the ball's wrench add up to nothing."""
+    scene = Scene((0.0, 0.0, 0.0))
+    for y, z in ((-0.005, 0.023), (0.005, -0.023)):
+        scene.rod(along(0, 0.2, 6, (0.0, y, z)), natural_curvature=np.array([0.5, 0.0]))
+    ball = scene.ball((0.0, 0.0, 0.0), 0.021)
+    scene.begin(DEVICE)
+    scene.run(1, 1e-5, ball)
+    (group,) = scene.solver._groups
+    batch, bodies, steps = group.batch, group.bodies, group.dynamics
+    random = np.random.default_rng(0)
+    dof = batch.state.dof.numpy() + 1e-5 * random.standard_normal(batch.state.dof.shape)
+    dof[:, 3::4] += 0.01 * random.standard_normal(dof[:, 3::4].shape)
+    batch.state.dof.assign(dof)
+    batch.derivatives.gradient.zero_()
+    bodies.clear_contact()
+    group.contact.add(batch.every_rod, batch.state.dof, steps.start.dof)
+    gradient = np.append(batch.derivatives.gradient.numpy()[0], 0.0).reshape(-1, 4)
+    force, torque, nodes = gradient[:, :3], gradient[:-1, 3], batch.positions()[0]
+    tangent = np.diff(nodes, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    push, place = bodies.push.numpy()[0, 0], bodies.place.numpy()[0, 0]
+    assert np.abs(torque).max() > 1e-6 and push[6] > 0.1
+    assert force.sum(axis=0) + push[:3] == pytest.approx(np.zeros(3), abs=1e-14 * push[6])
+    moment = np.cross(nodes, force).sum(axis=0) + (torque[:, None] * tangent).sum(axis=0)
+    moment = moment + push[3:6] + np.cross(place, push[:3])
+    assert moment == pytest.approx(np.zeros(3), abs=1e-14 * push[6])

@@ -42,8 +42,8 @@ class SolverDER(RodBuilding, SolverBase):
 
     Rods are no bodies of Newton's: their state is in `state.der` (`node_q` [m], `node_qd` [m/s],
     `node_contact_f` [N], `edge_director`, `edge_spin` [rad/s]), their properties in `model.der`.
-    They touch the model's shapes with the friction of the shape (`mu`) and, if asked, themselves
-    and each other.
+    They touch the model's shapes, whatever moves these, with the friction of the shape (`mu`) and,
+    if asked, themselves and each other.
 
     Bodies hold rods, by their ends (`add_rod`) or anywhere (`attach`):
 
