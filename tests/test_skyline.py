@@ -115,10 +115,14 @@ class System:
     def eliminate(self, right):
         """(rod,) negative pivots, or -1, and solutions."""
         negative = wp.full(RODS, -1, dtype=wp.int32, device=self.device)
-        x = self.array(right, wp.float64)
+        x = self.array(np.zeros_like(right), wp.float64)
         profile = [self.free, self.order, self.first, self.last, self.row]
-        inputs = [self.coupled, self.overflow, self.reach, *profile, self.zeros(wp.float64, 4)]
-        self.launch(skyline_window.eliminate, inputs, [self.block, x, negative])
+        inputs = [self.coupled, self.overflow, self.reach, *profile]
+        self.launch(
+            skyline_window.eliminate,
+            [*inputs, self.array(right[:, 0], wp.float64), self.zeros(wp.float64, 4)],
+            [self.block, x, negative],
+        )
         return negative.numpy().copy(), x.numpy().copy()
 
     def factorise(self, matrices, free):

@@ -12,8 +12,8 @@ from wrod.kernels.contact.pair_contact import (
     pair_contact,
 )
 from wrod.kernels.contact.segments import EDGE, Nearest, piece_chord, piece_size, turning
+from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ONE, TWO, ZERO
-from wrod.kernels.linear.banded import banded_entry
 
 wp.set_module_options({"enable_backward": False})
 
@@ -27,29 +27,48 @@ def free_of(free: wp.array2d(dtype=wp.int32), r: int, v: int, c: int) -> wp.floa
     return wp.float64(free[r, a])
 
 
-@wp.func
-def band_block(hessian: wp.array3d(dtype=wp.float64), r: int, v: int, u: int) -> wp.mat44d:
-    out = wp.mat44d()
-    for c in range(4):
-        for d in range(4):
-            a = 4 * v + c
-            b = 4 * u + d
-            if a < hessian.shape[1] and b < hessian.shape[1]:
-                out[c, d] = banded_entry(hessian, r, a, b)
-    return out
+@wp.func_native(
+    f"const int WIDTH = {HALF_BANDWIDTH + 1};"
+    + """
+    const int dofs = hessian.shape[1];
+    const double* entries = hessian.data + (size_t)r * dofs * WIDTH;
+    const int* open = free.data + (size_t)r * dofs;
+    double* out = (double*)(block.data + (size_t)r * block.shape[1] + at);
+    for (int c = 0; c < 4; ++c) {
+        const int a = 4 * v + c;
+        const bool opens = a < dofs && open[a] != 0;
+        for (int d = 0; d < 4; ++d) {
+            const int b = 4 * u + d, apart = a > b ? a - b : b - a;
+            double value = a == b ? 1.0 : 0.0;
+            if (opens && apart < WIDTH && b < dofs && open[b] != 0) {
+                value = entries[(size_t)(a > b ? a : b) * WIDTH + apart];
+                if (a == b) value += shift.data[r];
+            }
+            out[4 * c + d] = value;
+        }
+    }
+"""
+)
+def store_block(
+    hessian: wp.array3d(dtype=wp.float64),
+    free: wp.array2d(dtype=wp.int32),
+    shift: wp.array(dtype=wp.float64),
+    r: int,
+    v: int,
+    u: int,
+    at: int,
+    block: wp.array2d(dtype=wp.mat44d),
+):
+    """Store block (v, u) of a shifted banded matrix; rows and columns of what is not free, and of
+    the angle of the edge that the last node has not, as those of the identity."""
+    ...
 
 
-@wp.func
-def masked(free: wp.array2d(dtype=wp.int32), block: wp.mat44d, r: int, v: int, u: int) -> wp.mat44d:
-    """Rows and columns of prescribed degrees of freedom as those of the identity."""
-    out = block
-    for c in range(4):
-        for d in range(4):
-            out[c, d] = block[c, d] * free_of(free, r, v, c) * free_of(free, r, u, d)
-    if v == u:
-        for c in range(4):
-            out[c, c] = out[c, c] + ONE - free_of(free, r, v, c)
-    return out
+@wp.func_native("""
+    for (int at = first; at < to; ++at)
+        block.data[(size_t)r * block.shape[1] + at] = wp::mat_t<4, 4, wp::float64>();
+""")
+def clear_blocks(r: int, first: int, to: int, block: wp.array2d(dtype=wp.mat44d)): ...
 
 
 @wp.kernel
@@ -64,28 +83,29 @@ def fill_band(
     order: wp.array2d(dtype=wp.int32),
     first: wp.array2d(dtype=wp.int32),
     row: wp.array2d(dtype=wp.int32),
+    lanes: int,
     # State out:
     block_out: wp.array2d(dtype=wp.mat44d),
 ):
-    """Row of node v: blocks of the rod itself, and zero elsewhere. Launched over (rod, node, 5):
-    one for each node near v along the rod."""
+    """Row of node v: blocks of the rod itself, and zero elsewhere. Launched over (rod, node, 5), or
+    1: five lanes share a row, one for each node near v along the rod, or one takes all."""
     r, v, k = wp.tid()
     if coupled[r] == 0 or overflow[r] != 0:
         return
     p = rank[r, v]
     at = row[r, p]
-    for b in range(first[r, p] + k, p, 5):
-        if wp.abs(order[r, b] - v) > 2:
-            block_out[r, at + b] = wp.mat44d()
-    u = v + k - 2
-    if u < 0 or u >= rank.shape[1]:
-        return
-    b = rank[r, u]
-    if b <= p:
-        m = band_block(hessian, r, v, u)
-        if b == p:
-            m = m + shift[r] * wp.identity(4, dtype=wp.float64)
-        block_out[r, at + b] = masked(free, m, r, v, u)
+    if lanes == 1:
+        clear_blocks(r, at + first[r, p], at + p, block_out)
+    else:
+        for b in range(first[r, p] + k, p, lanes):
+            if wp.abs(order[r, b] - v) > 2:
+                block_out[r, at + b] = wp.mat44d()
+    for near in range(k, 5, lanes):
+        u = v + near - 2
+        if u >= 0 and u < rank.shape[1]:
+            b = rank[r, u]
+            if b <= p:
+                store_block(hessian, free, shift, r, v, u, at + b, block_out)
 
 
 @wp.struct

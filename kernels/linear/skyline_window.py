@@ -50,6 +50,7 @@ _ELIMINATE = (
     const int* open = free.data + (size_t)r * dofs;
     const int* nodes = order.data + (size_t)r * n;
     double* solution = x.data + (size_t)r * x.shape[1] * dofs;
+    const double* load = gradient.data + (size_t)r * dofs;
     double* far = y.data + (size_t)r * 4 * n;
     const double smallest = 1.0e-14;
 
@@ -104,7 +105,7 @@ _ELIMINATE = (
     WROD_TEAM {
         for (int k = lane; k < 4 * n; k += TEAM) {
             const int a = 4 * nodes[k / 4] + k % 4;
-            far[k] = a < dofs && open[a] != 0 ? solution[a] : 0.0;
+            far[k] = a < dofs && open[a] != 0 ? load[a] : 0.0;
         }
         if (lane < W) place[lane] = WROD_RING(lane);
         WROD_OWN(spot, 0) = WROD_RING(lane / 4);
@@ -325,6 +326,7 @@ def eliminate_rod(
     first: wp.array2d(dtype=wp.int32),
     last: wp.array2d(dtype=wp.int32),
     row: wp.array2d(dtype=wp.int32),
+    gradient: wp.array2d(dtype=wp.float64),
     y: wp.array2d(dtype=wp.float64),
     r: int,
     block: wp.array2d(dtype=wp.vec4d),
@@ -344,6 +346,7 @@ def eliminate(
     first: wp.array2d(dtype=wp.int32),
     last: wp.array2d(dtype=wp.int32),
     row: wp.array2d(dtype=wp.int32),
+    gradient: wp.array2d(dtype=wp.float64),
     # Scratch (rod, 4 node), in the new order:
     y: wp.array2d(dtype=wp.float64),
     # State in and out:
@@ -352,7 +355,13 @@ def eliminate(
     # State out:
     negative_pivots_out: wp.array(dtype=wp.int32),
 ):
-    """`skyline.factorise`, then `skyline.solve`, of rods of which no column reaches too far."""
-    r, _lane = wp.tid()
-    if coupled[r] != 0 and overflow[r] == 0 and reach[r] <= REACH:
-        eliminate_rod(free, order, first, last, row, y, r, block, x, negative_pivots_out)
+    """`skyline.factorise`, then `skyline.solve` for the gradient, of rods none of whose columns
+    reaches too far; of others the gradient becomes the right-hand side."""
+    r, lane = wp.tid()
+    if coupled[r] == 0 or overflow[r] != 0:
+        return
+    if reach[r] <= REACH:
+        eliminate_rod(free, order, first, last, row, gradient, y, r, block, x, negative_pivots_out)
+    else:
+        for a in range(lane, gradient.shape[1], wp.block_dim()):
+            x[r, 0, a] = gradient[r, a]

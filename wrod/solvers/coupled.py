@@ -127,13 +127,14 @@ class CoupledSystem(PairedSystem):
 
     def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:
         self._collect(active)
-        wp.copy(self.x[:, 0], gradient)
+        if not self._on_gpu:
+            wp.copy(self.x[:, 0], gradient)
         BandedSystem.eliminate(self, gradient, hessian, self.banded)
         self._assemble(hessian)
         if self._on_gpu:
-            inputs = [*self._chosen, self._reach, self.batch.free, *self._profile, self._y]
+            inputs = [*self._chosen, self._reach, self.batch.free, *self._profile, gradient]
             outputs = [self._lines, self.x, self.negative_pivots]
-            self._together(skyline_window.eliminate, inputs, outputs)
+            self._together(skyline_window.eliminate, [*inputs, self._y], outputs)
         self._factorise_coupled(skyline_window.REACH + 1)
         self._solve_coupled(1, skyline_window.REACH + 1)
 
@@ -171,10 +172,11 @@ class CoupledSystem(PairedSystem):
             + [self._reach, contact.overflow],
         )
         profile = [self._rank, self._order, self._first, self._row]
+        sharing = 5 if self._on_gpu else 1
         wp.launch(
             coupling.fill_band,
-            dim=(batch.rod_count, batch.node_count, 5),
-            inputs=[*self._chosen, batch.free, hessian, self.shift, *profile],
+            dim=(batch.rod_count, batch.node_count, sharing),
+            inputs=[*self._chosen, batch.free, hessian, self.shift, *profile, sharing],
             outputs=[self._block],
             device=batch.device,
             block_dim=lanes(batch.device, TEAM),
