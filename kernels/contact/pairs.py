@@ -130,15 +130,24 @@ def list_partners(
     if found > partner.shape[2]:
         overflow_out[r] = 1
         found = partner.shape[2]
+    before = int(0)
     for k in range(found):
-        new_bristle[r, i, k] = wp.vec2d(ZERO, ZERO)
-        new_load[r, i, k] = ZERO
-        new_sliding[r, i, k] = 0
-        for o in range(partner_count[r, i]):
-            if partner[r, i, o] == new_partner[r, i, k]:
-                new_bristle[r, i, k] = bristle[r, i, o]
-                new_load[r, i, k] = load[r, i, o]
-                new_sliding[r, i, k] = sliding[r, i, o]
+        j = new_partner[r, i, k]
+        pull = wp.vec2d(ZERO, ZERO)
+        pressed = wp.float64(0.0)
+        slid = int(0)
+        # Both lists go along the rod.
+        for o in range(before, partner_count[r, i]):
+            if partner[r, i, o] >= j:
+                if partner[r, i, o] == j:
+                    pull = bristle[r, i, o]
+                    pressed = load[r, i, o]
+                    slid = sliding[r, i, o]
+                break
+            before = o + 1
+        new_bristle[r, i, k] = pull
+        new_load[r, i, k] = pressed
+        new_sliding[r, i, k] = slid
     for k in range(found):
         partner[r, i, k] = new_partner[r, i, k]
         bristle[r, i, k] = new_bristle[r, i, k]
