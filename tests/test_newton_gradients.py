@@ -49,12 +49,16 @@ def put(pose: wp.array(dtype=wp.transform), hand: int, poses: wp.array(dtype=wp.
 class Scene:
     """Two worlds of rods with a preferred bend, the first held by a hand that moves."""
 
-    def __init__(self, ends=("clamped", "free"), internal=0.01, dt=0.01, states=2, **options):
-        self.dt, self.states = dt, states
+    def __init__(
+        self, ends=("clamped", "free"), internal=0.01, dt=0.01, states=2, ground=False, **options
+    ):
+        self.dt, self.states, self.ground = dt, states, ground
         self.options = {"tolerance": 1e-13, "max_iterations": 60} | options
         material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.3)
         s = np.linspace(0.0, 0.3, 9)
         line = np.stack([s, 0.01 * np.sin(9.0 * s), 0.02 * np.cos(7.0 * s)], axis=1)
+        if ground:
+            line[:, 2] = 0.0037 + 0.0005 * s
         builder = newton.ModelBuilder(gravity=(0.0, 0.0, -9.8125))
         SolverDER.register_custom_attributes(builder)
         builder.begin_world()
@@ -70,14 +74,17 @@ class Scene:
             internal_damping=internal, visible=False,
         )  # fmt: skip
         builder.end_world()
+        if ground:
+            builder.add_ground_plane(cfg=newton.ModelBuilder.ShapeConfig(mu=0.25))
         model = self.model = builder.finalize(device=DEVICE, requires_grad=True)
         self.capsule = int(model.der.rod_body.numpy()[0]) + 4
         rng = np.random.default_rng(2)
         der = model.der
-        curvature = rng.normal(size=der.node_natural_curvature.numpy().shape)
-        der.node_natural_curvature.assign(curvature)
+        if not ground:  # what is bent at rest keeps its roll on the ground
+            curvature = rng.normal(size=der.node_natural_curvature.numpy().shape)
+            der.node_natural_curvature.assign(curvature)
         self.start = {
-            "node_q": der.node_q.numpy() + 0.003 * rng.normal(size=(18, 3)),
+            "node_q": der.node_q.numpy() + (1e-5 if ground else 0.003) * rng.normal(size=(18, 3)),
             "node_qd": 0.3 * rng.normal(size=(18, 3)),
             "edge_director": der.edge_director.numpy() + 0.2 * rng.normal(size=(16, 3)),
             "edge_spin": 3.0 * rng.normal(size=16),
@@ -85,6 +92,8 @@ class Scene:
         n = np.arange(STEPS)[:, None]
         turn = Rotation.from_rotvec(n * [0.03, 0.05, -0.04] + [0.0, 0.3, 0.0]).as_quat()
         poses = np.concatenate([n * [0.01, 0.005, 0.003], turn], axis=1)
+        if ground:
+            poses = 0.2 * n * [0.01, 0.005, 0.001, 0.0, 0.0, 0.2, 0.0] + [*[0.0] * 6, 1.0]
         self.poses = np.round(poses * 2**20) / 2**20  # so that steps of them are exact
         self.weight = rng.normal(size=(18, 3))
 
@@ -143,6 +152,7 @@ class Scene:
             k: v if isinstance(v, np.ndarray) or v is None else v.numpy() for k, v in out.items()
         }
         out["gravity"] = self.model.gravity.grad.numpy()
+        out["friction"] = self.model.shape_material_mu.grad.numpy()
         out["poses"] = np.concatenate([p.grad.numpy() for p in poses])
         return {k: v.astype(float) for k, v in out.items() if v is not None}
 
@@ -153,7 +163,9 @@ class Scene:
             if name in self.start or name == "poses":
                 value = self.poses if name == "poses" else self.start[name]
                 return self.run(**{name: value + k * size * way}, **options)[0]
-            array = getattr(self.model if name == "gravity" else self.model.der, name)
+            model = self.model
+            array = {"gravity": model.gravity, "friction": model.shape_material_mu}.get(name)
+            array = getattr(model.der, name) if array is None else array
             value = array.numpy().copy()
             array.assign((value + k * size * way).astype(value.dtype))
             found = self.run(**options)[0]
@@ -163,29 +175,36 @@ class Scene:
         return (8.0 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12.0 * size)
 
 
-def compare(scene, names, rel=1e-6, **options):
+# Of single precision.
+SINGLE = ("gravity", "poses", "friction")
+EVERY = (*STATE, *PROPERTIES, *SINGLE)
+
+
+def compare(scene, names, size=1e-4, **options):
     found = scene.gradients(**options)
     rng = np.random.default_rng(1)
     for name in names:
         if name not in found:
             continue
         shape = found[name].shape
-        way, size = rng.normal(size=shape), 1e-4
-        if name in ("poses", "gravity"):  # of single precision
-            way, size = rng.integers(-2, 3, size=shape).astype(float), 2.0**-16
+        way, step = rng.normal(size=shape), size
+        if name in SINGLE:
+            way = rng.integers(-2, 3, size=shape).astype(float)
+            way[-1] = 1.0
+            step = {"gravity": 2.0**-7, "poses": 2.0**-16, "friction": 2.0**-10}[name]
         if name == "poses":
             way[: options.get("warm", 0)] = 0.0
+            step *= 2.0**-5 if scene.ground else 1.0
         elif name in PROPERTIES and "natural" not in name:
             way *= getattr(scene.model.der, name).numpy()
-        if name == "gravity":
-            size = 2.0**-7
-        expected = scene.difference(name, way, size, **options)
+        elif name == "edge_spin":  # which counts little
+            way *= 30.0
+        elif name == "node_q" and scene.ground:  # the skin in which contact begins is thin
+            way *= 0.05
+        expected = scene.difference(name, way, step, **options)
         parts = found[name] * way
-        single = 1e-7 * np.abs(parts).sum() if name in ("poses", "gravity") else 0.0
-        assert parts.sum() == pytest.approx(expected, rel=rel, abs=3e-10 + single), name
-
-
-EVERY = (*STATE, *PROPERTIES, "gravity", "poses")
+        single = 1e-7 * np.abs(parts).sum() if name in SINGLE else 0.0
+        assert parts.sum() == pytest.approx(expected, rel=1e-6, abs=3e-10 + single), name
 
 
 @pytest.mark.parametrize(
@@ -261,7 +280,7 @@ def test_what_has_no_gradients_is_refused():
     """By the step, when a tape is recorded; without one it is taken."""
     builder = make()
     cable(builder, height=0.006)
-    builder.add_ground_plane()
+    builder.add_shape_box(-1, xform=wp.transform((0.1, 0.0, -0.1)), hx=0.2, hy=0.2, hz=0.1)
     with pytest.raises(RodError, match="touches something"):
         taped_step(builder, count=20)
     builder = make()
@@ -290,3 +309,11 @@ def test_a_tape_without_gradients_records_nothing():
     with tape:
         solver.step(state, state, None, None, 0.01)
     assert tape.launches == []
+
+
+def test_gradients_over_the_ground():
+    """Of cables that a hand drags over the ground, which slide and stick, by friction as well."""
+    names = [name for name in EVERY if name != "node_natural_curvature"]
+    scene = Scene(ground=True, dt=0.005)
+    compare(scene, names, size=4e-6)
+    assert scene.model.shape_material_mu.grad.numpy()[-1] != 0.0

@@ -113,11 +113,12 @@ def entry(
     spin_inertia: wp.array2d(dtype=wp.float64),
     moment: wp.array2d(dtype=wp.vec3d),
     by_end: wp.array2d(dtype=wp.vec3d),
+    coupling: wp.array2d(dtype=wp.mat33d),
     r: int,
     a: int,
     b: int,
 ) -> wp.float64:
-    """A_n^T[a, b]; see `weigh_spins`."""
+    """A_n^T[a, b]; see `weigh_spins`, and `wrod.kernels.contact.plane_adjoint` for `coupling`."""
     value = hessian[r, wp.max(a, b), wp.abs(a - b)]
     if a % 4 < 3 and b % 4 < 3 and wp.abs(a / 4 - b / 4) < 2:
         around = wp.vec3d(ZERO, ZERO, ZERO)
@@ -129,6 +130,8 @@ def entry(
                 around += moment[r, i - 1]
             if i < moment.shape[1]:
                 around += moment[r, i]
+            if coupling.shape[1] > 0:
+                value += coupling[r, i][b % 4, a % 4]
         value += wp.skew(around)[a % 4, b % 4]
     if a % 4 < 3 and b % 4 == 3:
         e = b / 4
@@ -178,6 +181,7 @@ def assemble(
     spin_inertia: wp.array2d(dtype=wp.float64),
     moment: wp.array2d(dtype=wp.vec3d),
     by_end: wp.array2d(dtype=wp.vec3d),
+    coupling: wp.array2d(dtype=wp.mat33d),
     # Out:
     factor_out: wp.array3d(dtype=wp.float64),
 ):
@@ -193,7 +197,7 @@ def assemble(
         if free[r, a] == 0:
             value = wp.where(b == a, ONE, ZERO)
         elif b >= 0 and b < n:
-            value = entry(hessian, spin_inertia, moment, by_end, r, a, b)
+            value = entry(hessian, spin_inertia, moment, by_end, coupling, r, a, b)
         factor_out[r, a, k] = value
 
 
@@ -226,6 +230,7 @@ def want_held(
     spin_inertia: wp.array2d(dtype=wp.float64),
     moment: wp.array2d(dtype=wp.vec3d),
     by_end: wp.array2d(dtype=wp.vec3d),
+    coupling: wp.array2d(dtype=wp.mat33d),
     wanted: wp.array2d(dtype=wp.float64),
     x: wp.array3d(dtype=ALONE),
     # Out:
@@ -238,7 +243,7 @@ def want_held(
         value = wanted[r, a]
         n = hessian.shape[1]
         for b in range(wp.max(a - HALF_BANDWIDTH, 0), wp.min(a + HALF_BANDWIDTH + 1, n)):
-            value -= entry(hessian, spin_inertia, moment, by_end, r, a, b) * x[r, 0, b][0]
+            value -= entry(hessian, spin_inertia, moment, by_end, coupling, r, a, b) * x[r, 0, b][0]
     held_out[r, a] = value
 
 

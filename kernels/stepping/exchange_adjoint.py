@@ -322,3 +322,18 @@ def want_properties(
         by_mass[p.node] = by_mass[p.node] + model.node_mass[r, b]
     if p.owns != 0:
         by_stretching[p.edge] = by_stretching[p.edge] + model.stretching[r, b]
+
+
+@wp.kernel
+def want_friction(
+    # Model:
+    shape: wp.array2d(dtype=wp.int32),
+    # State in:
+    by_friction: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    by_material_mu: wp.array(dtype=wp.float32),
+):
+    """Of rows' shapes, to the simulator's. Launched over (row, shape)."""
+    r, k = wp.tid()
+    if shape[r, k] >= 0:
+        wp.atomic_add(by_material_mu, shape[r, k], float(by_friction[r, k]))

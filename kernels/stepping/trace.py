@@ -14,7 +14,8 @@ wp.set_module_options({"enable_backward": False})
 class Kept:
     """Steps of rods, (step, rod, ...): `left` is the time from the end of a step to `until`,
     configurations are those at its end, at its start (`before`) and a step earlier (`older`),
-    velocities and strains of the last two; strains are there if the material is viscous."""
+    velocities and strains of the last two; strains are there if the material is viscous, what
+    friction remembers at the start (shape, node) if something can be touched."""
 
     coefficient: wp.array2d(dtype=wp.vec3d)
     span: wp.array2d(dtype=wp.float64)
@@ -31,6 +32,8 @@ class Kept:
     velocity_older: wp.array3d(dtype=wp.float64)
     strain: wp.array3d(dtype=wp.vec4d)
     strain_older: wp.array3d(dtype=wp.vec4d)
+    bristle: wp.array4d(dtype=wp.vec3d)
+    sliding: wp.array4d(dtype=wp.int32)
 
 
 @wp.struct
@@ -53,6 +56,8 @@ class OneStep:
     velocity_older: wp.array2d(dtype=wp.float64)
     strain: wp.array2d(dtype=wp.vec4d)
     strain_older: wp.array2d(dtype=wp.vec4d)
+    bristle: wp.array3d(dtype=wp.vec3d)
+    sliding: wp.array3d(dtype=wp.int32)
 
 
 @wp.kernel
@@ -88,6 +93,10 @@ def keep_step(
     if a < now.strain.shape[1]:
         kept.strain[k, r, a] = now.strain[r, a]
         kept.strain_older[k, r, a] = now.strain_older[r, a]
+    if a < now.bristle.shape[2]:
+        for m in range(now.bristle.shape[1]):
+            kept.bristle[k, r, m, a] = now.bristle[r, m, a]
+            kept.sliding[k, r, m, a] = now.sliding[r, m, a]
 
 
 @wp.kernel
@@ -137,19 +146,24 @@ def recall_step(
     if a < step.strain.shape[1]:
         step.strain[r, a] = kept.strain[k, r, a]
         step.strain_older[r, a] = kept.strain_older[k, r, a]
+    if a < step.bristle.shape[2]:
+        for m in range(step.bristle.shape[1]):
+            step.bristle[r, m, a] = kept.bristle[k, r, m, a]
+            step.sliding[r, m, a] = kept.sliding[k, r, m, a]
 
 
 @wp.struct
 class Wanted:
     """What a loss wants of rods at one time, its derivatives (rod, ...): by nodes and by the turn
     of each edge's frame about it (`dof`), by velocities, by how far the reference frame has turned
-    while the edge's has not (`turn`, of each edge), and by the strains that a viscous material
-    remembers."""
+    while the edge's has not (`turn`, of each edge), by the strains that a viscous material
+    remembers, and by the bristles (shape, node) of friction."""
 
     dof: wp.array2d(dtype=wp.float64)
     velocity: wp.array2d(dtype=wp.float64)
     turn: wp.array2d(dtype=wp.float64)
     strain: wp.array2d(dtype=wp.vec4d)
+    bristle: wp.array3d(dtype=wp.vec3d)
 
 
 @wp.kernel
@@ -179,3 +193,7 @@ def go_back(
         now.strain[r, a] = before.strain[r, a]
         before.strain[r, a] = older.strain[r, a]
         older.strain[r, a] = wp.vec4d()
+    if a < now.bristle.shape[2]:
+        for m in range(now.bristle.shape[1]):
+            now.bristle[r, m, a] = before.bristle[r, m, a]
+            before.bristle[r, m, a] = wp.vec3d()

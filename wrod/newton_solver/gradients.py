@@ -157,7 +157,9 @@ class GroupGradients:
             layout, device = group.layout, group.device
             moved = group.batch.free.numpy() == 0
             air = layout.node_values("air_damping")
-            self._adjoint = StepAdjoint(group.dynamics, moved, air)
+            touched = group.shape_contact
+            per_mass = None if touched is None else touched.per_mass()
+            self._adjoint = StepAdjoint(group.dynamics, moved, air, per_mass)
             self._anchor = wp.zeros_like(self._adjoint.held)
             one = np.ones(layout.ghost.shape)
             share = of_free_part(layout.free_share, twisting_stiffness=one, natural_twist=one)
@@ -167,6 +169,9 @@ class GroupGradients:
             ]
             worlds = np.where(group.worlds < 0, len(group.model.gravity) - 1, group.worlds)
             worlds = np.minimum(worlds, len(group.model.gravity) - 1)
+            self._shapes = None
+            if touched is not None:
+                self._shapes = wp.array(touched.indices(), dtype=wp.int32, device=device)
             self._world = wp.array(worlds, dtype=wp.int32, device=device)
         return self._adjoint
 
@@ -243,6 +248,13 @@ class GroupGradients:
             [group.place, self._world, *self._shares, adjoint.model],
             [*outputs, _numbers(model.gravity.grad, 3, group.device)],
         )
+        if self._shapes is not None:
+            group.batch.launch(
+                kernels.want_friction,
+                self._shapes.shape,
+                [self._shapes, adjoint.by_friction],
+                [model.shape_material_mu.grad],
+            )
 
 
 def _copies(level) -> Any:
@@ -310,4 +322,6 @@ class Gradients:
 
         properties = [getattr(self.model.der, name) for name in PROPERTIES]
         arrays = [*before.arrays(), *after.arrays(), self.model.gravity]
+        if self.model.shape_count:
+            arrays.append(self.model.shape_material_mu)
         tape.record_func(backward, [*arrays, *(a for a in properties if a.grad is not None)])

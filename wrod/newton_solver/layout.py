@@ -81,18 +81,22 @@ class Layout:
         """(row, node, ...) of an attribute of rods, for every node."""
         return getattr(self.model.der, f"rod_{name}").numpy()[self.rod]
 
+    def rod_mass(self) -> np.ndarray:
+        """(row, node) mass of the rod of each node [kg]."""
+        return self._sums("node_mass", self.model.der.rod_first_node, 0)
+
     def line_density(self) -> np.ndarray:
         """(row, node) mass per length of the rod of each node [kg/m]."""
+        length = self._sums("edge_rest_length", self.model.der.rod_first_edge, 1)
+        return self.rod_mass() / length
+
+    def _sums(self, name: str, first, less: int) -> np.ndarray:
+        """(row, node) sum of an attribute over the rod of each node."""
         der = self.model.der
-        firsts = der.rod_first_node.numpy(), der.rod_first_edge.numpy()
-        mass, rest = der.node_mass.numpy(), der.edge_rest_length.numpy()
-        density = {}
-        for rod in np.unique(self.rod):
-            node, edge = firsts[0][rod], firsts[1][rod]
-            count = der.rod_node_count.numpy()[rod]
-            total = mass[node : node + count].sum()
-            density[rod] = total / rest[edge : edge + count - 1].sum()
-        return np.vectorize(density.__getitem__)(self.rod)
+        start = first.numpy()[self.rod]
+        end = start + der.rod_node_count.numpy()[self.rod] - less
+        total = np.concatenate([[0.0], np.cumsum(getattr(der, name).numpy())])
+        return total[end] - total[start]
 
     def near_clamps(self, holds: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """(row, edge) edges inside clamps, and those of rods that a body holds together with others

@@ -43,6 +43,7 @@ class ShapeContact:
         stiffness: float | None,
     ):
         self._shapes, self._rods, self._device = shapes, rods, batch.device
+        self._layout, self._stiffens_by_mass = layout, stiffness is None
         radius = layout.node_values("radius")
         firm = np.asarray(stiffness, dtype=float)
         if stiffness is None:
@@ -72,6 +73,16 @@ class ShapeContact:
         deep = carried.overlaps(self.contact.table, radius)
         apart = layout.beside_holds(holds, carriers.slot, deep, radius)
         self.contact.carry(carried, carriers.burden, apart)
+
+    def per_mass(self) -> np.ndarray | None:
+        """(row, node) stiffness of contact per mass of each node's rod, if it goes with it."""
+        if not self._stiffens_by_mass:
+            return None
+        return self.contact.memory[0].stiffness.numpy() / self._layout.rod_mass()
+
+    def indices(self) -> np.ndarray:
+        """(row, shape) of the shapes in the model, -1 where a row has fewer than others."""
+        return self._shapes.indices(self._rods)
 
     def refresh(self) -> None:
         """Take up shapes that were changed."""

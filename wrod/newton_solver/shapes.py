@@ -140,6 +140,14 @@ class ModelShapes:
                     burden[r, k] = weight[owner]
         return Carriers(body, slot, pose[..., :3], pose[..., 3:], burden)
 
+    def indices(self, rods: RodPlaces) -> np.ndarray:
+        """(rod, shape) of the shapes in the model, -1 where a row has fewer than others."""
+        chosen = [self.rows[touched] for touched in self._touched(rods)]
+        out = np.full((len(chosen), max(map(len, chosen))), -1, dtype=np.int32)
+        for row, found in zip(out, chosen, strict=True):
+            row[: len(found)] = found
+        return out
+
     def _read(self, name: str) -> np.ndarray:
         """One of the model's arrays of shapes; of no shapes too."""
         width = {"scale": (3,), "transform": (7,)}.get(name, ())

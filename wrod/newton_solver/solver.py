@@ -59,11 +59,11 @@ class SolverDER(RodBuilding, SolverBase):
     is (the rod then starts anew from it, with one step of first order), so states may be changed,
     copied and set back at will.
 
-    Of a model that was finalized with `requires_grad=True`, steps on a `wp.Tape` have gradients,
-    by the adjoint of the steps as they are taken: by `state.der`, by `body_q` of kinematic bodies
-    that hold rods, by `gravity`, and in `model.der` by stretching, bending and twisting stiffness,
-    natural curvature and twist, and the nodes' masses (not for "consistent" inertia); other
-    properties have no `grad`. Rods must touch nothing; what has no gradients is refused.
+    Of a model that was finalized with `requires_grad=True`, steps on a `wp.Tape` have gradients, by
+    the adjoint of the steps as they are taken: by `state.der`, `body_q` of kinematic bodies that
+    hold rods, `gravity`, `shape_material_mu`, and `model.der`'s stretching, bending and twisting
+    stiffness, natural curvature and twist, and node masses (not for "consistent" inertia). Other
+    properties have no `grad`. Rods may touch planes that stand still; all else is refused.
 
     Example
     -------
@@ -245,7 +245,7 @@ class SolverDER(RodBuilding, SolverBase):
         Raises:
             RodError: dt is not positive, a state was made from another model, or, while a tape is
                 recorded, the step has no gradients: scheme "midpoint", rods with a past, that
-                touch something, or that hold bodies which this solver moves.
+                touch anything but planes, or that hold bodies which this solver moves.
         """
         with retold_as(RodError):
             self.validate_observables(observables, contacts)

@@ -8,17 +8,17 @@ import numpy as np
 import warp as wp
 
 from wrod.errors import RodError
+from wrod.kernels.contact import plane_adjoint, planes
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import adjoint as kernels
 from wrod.kernels.stepping import dynamics as inertia
 from wrod.kernels.stepping import model_adjoint
 from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.trace import OneStep, Wanted, go_back, recall_step
-from wrod.rods.batch import RodBatch
 from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.steps import SCHEMES
-from wrod.solvers.trace import Record, filled, step_arrays
+from wrod.solvers.trace import Record, filled, planes_of, step_arrays
 from wrod.solvers.viscosity import Viscosity
 
 
@@ -39,18 +39,24 @@ def require_differentiable(dynamics: Dynamics) -> None:
             "gradients of motion do not know bodies that move with the rods that they hold; let "
             "them be kinematic"
         )
+    touched = planes_of(dynamics)
+    if touched is not None and touched.friction_field is not None:
+        raise RodError("gradients of motion do not know friction that varies from place to place")
 
 
-def make_wanted(batch: RodBatch, viscous: bool) -> Any:
+def make_wanted(dynamics: Dynamics) -> Any:
     """`Wanted` of nothing yet."""
-    shape, edges = (batch.rod_count, batch.dof_count), batch.node_count - 1
+    batch = dynamics.batch
+    nodes, touched = batch.node_count, planes_of(dynamics)
 
-    def zeros(columns, dtype: type = wp.float64):
-        return wp.zeros((shape[0], columns), dtype=dtype, device=batch.device)
+    def zeros(*columns, dtype: type = wp.float64):
+        return wp.zeros((batch.rod_count, *columns), dtype=dtype, device=batch.device)
 
     out = Wanted()
-    out.dof, out.velocity, out.turn = zeros(shape[1]), zeros(shape[1]), zeros(edges)
-    out.strain = zeros(batch.node_count if viscous else 0, wp.vec4d)
+    out.dof, out.velocity, out.turn = (zeros(n) for n in (*[batch.dof_count] * 2, nodes - 1))
+    out.strain = zeros(nodes if dynamics.viscosity.exists else 0, dtype=wp.vec4d)
+    memory = (0, 0) if touched is None else touched.memory[1].shape[1:]
+    out.bristle = zeros(*memory, dtype=wp.vec3d)
     return out
 
 
@@ -65,11 +71,14 @@ class StepAdjoint:
         dynamics: that has taken the steps.
         moved: (rod, dof) what is not free but moved by `Dynamics.motion`; what is neither stays.
         air_of_mass: (rod, node) air damping that goes with the nodes' mass; default: of the rod.
+        stiffness_of_mass: (rod, node) stiffness of contact per mass of the rod in the row that a
+            node is of, if it goes with it; default: it does not.
 
     Attributes:
         now, before, older: `wrod.kernels.stepping.trace.Wanted` at the end of a step, at its
             start, and a step earlier; edges are differentiated by the turn of their frames.
         model: `wrod.kernels.stepping.model_adjoint.WantedModel`, summed up until `clear`.
+        by_friction: (rod, shape) derivatives by the coefficients of friction, likewise.
         held: (rod, dof) what is wanted of what is moved, at the end of the step gone through last.
         step: that step, `wrod.kernels.stepping.trace.OneStep`.
 
@@ -78,7 +87,11 @@ class StepAdjoint:
     """
 
     def __init__(
-        self, dynamics: Dynamics, moved: np.ndarray, air_of_mass: np.ndarray | None = None
+        self,
+        dynamics: Dynamics,
+        moved: np.ndarray,
+        air_of_mass: np.ndarray | None = None,
+        stiffness_of_mass: np.ndarray | None = None,
     ):
         require_differentiable(dynamics)
         batch = self.batch = dynamics.batch
@@ -90,9 +103,9 @@ class StepAdjoint:
         def floats(*shape, dtype: type = wp.float64):
             return wp.zeros((rods, *shape), dtype=dtype, device=device)
 
-        self.now, self.before, self.older = (make_wanted(batch, viscous) for _ in range(3))
+        self.now, self.before, self.older = (make_wanted(dynamics) for _ in range(3))
         self._levels = (self.now, self.before, self.older)
-        arrays = step_arrays(batch, viscous)
+        arrays = step_arrays(dynamics)
         arrays["active"] = wp.zeros(rods, dtype=wp.int32, device=device)
         self.step = filled(OneStep(), arrays)
         self._state = RodState(
@@ -106,7 +119,10 @@ class StepAdjoint:
             floats(nodes - 1, dtype=wp.vec3d) for _ in range(3)
         )
         self._spin_inertia, self._wanted = floats(nodes - 1), floats(dofs)
-        self._unsymmetric = self._spin_inertia, self._moment, self._by_end
+        self._planes = planes_of(dynamics)
+        self._coupling = floats(0 if self._planes is None else nodes, dtype=wp.mat33d)
+        self.by_friction = floats(self.now.bristle.shape[1])
+        self._unsymmetric = self._spin_inertia, self._moment, self._by_end, self._coupling
         self._factor = floats(dofs, banded_lu.BAND)
         self._x = wp.zeros((rods, 1, dofs), dtype=banded_lu.ALONE, device=device)
         self._held, self.held = floats(dofs), floats(dofs)
@@ -116,6 +132,9 @@ class StepAdjoint:
         self._viscous_time = self.viscosity.time if viscous else floats(0, dtype=wp.vec4d)
         self._drag = floats(0, dtype=wp.vec2d) if dynamics.drag is None else dynamics.drag
         self._prepare_model(air_of_mass)
+        if stiffness_of_mass is None:
+            stiffness_of_mass = np.zeros((rods, nodes))
+        self._stiffness_share = wp.array(stiffness_of_mass, dtype=wp.float64, device=device)
 
     def _prepare_model(self, air_of_mass: np.ndarray | None) -> None:
         batch, dynamics = self.batch, self.dynamics
@@ -148,6 +167,7 @@ class StepAdjoint:
                 getattr(level, name).zero_()
         for name in model_adjoint.WantedModel.vars:
             getattr(self.model, name).zero_()
+        self.by_friction.zero_()
 
     def go_back(self, record: Record, held=None) -> None:
         """Go from the end of a record to its start.
@@ -162,6 +182,8 @@ class StepAdjoint:
             self._settle(self.step.active, self._state)
             self._factorise()
             self._solve()
+            self._spins.zero_()
+            self._want_friction()
             self._want_model(record)
             self._want_before()
             if held is not None:
@@ -218,6 +240,7 @@ class StepAdjoint:
                 [dynamics.drag, self._pace, *history],
                 [at.gradient, at.hessian],
             )
+        self._add_contact()
         edges = (rods, nodes - 1)
         batch.launch(kernels.measure_turns, edges, [step], [self._by_end, self._by_start])
         batch.launch(
@@ -231,6 +254,31 @@ class StepAdjoint:
             [self._factor],
         )
         batch.launch_lanes(banded_lu.factorise, [step.active], [self._factor])
+
+    def _add_contact(self) -> None:
+        if self._planes is None:
+            return
+        batch, step = self.batch, self.step
+        shape = (batch.rod_count, batch.node_count)
+        model = self._planes.memory[0]
+        batch.launch(
+            planes.contact,
+            shape,
+            [model, step.span, step.active, step.dof, step.dof_before, step.bristle, step.sliding],
+            [self._at.gradient, self._at.hessian],
+        )
+        batch.launch(plane_adjoint.want_bristles, shape, [model, step], [self.now, self._coupling])
+
+    def _want_friction(self) -> None:
+        if self._planes is not None:
+            batch = self.batch
+            batch.launch(
+                plane_adjoint.want_friction,
+                (batch.rod_count, batch.node_count),
+                [self._planes.memory[0], self._stiffness_share, batch.node_mass, self._piece]
+                + [self.step, self.now, self._x],
+                [self.before, self.by_friction, self.model.node_mass, self._spins],
+            )
 
     def _solve(self) -> None:
         batch, step, now = self.batch, self.step, self.now
@@ -288,7 +336,6 @@ class StepAdjoint:
             (model_adjoint.want_stretching, nodes - 1), (model_adjoint.want_bending, nodes - 2),
         ):  # fmt: skip
             batch.launch(kernel, (rods, count), [rod, step, self._x], outputs)
-        self._spins.zero_()
         batch.launch(
             model_adjoint.want_masses,
             (rods, nodes),

@@ -246,6 +246,11 @@ class Contact:
         return self._model.shapes
 
     @property
+    def memory(self) -> tuple:
+        """What nodes touch, their bristles (rod, shape, node), and whether those slid."""
+        return self._model, self._bristle, self._sliding
+
+    @property
     def pushes(self) -> tuple[wp.array, wp.array]:
         """(rod, shape) force on each solid at the end of the last step, and its moment about the
         origin."""
@@ -352,6 +357,10 @@ class Contact:
             [self._model, chosen, dof, dof_before],
             [touching],
         )
+        self.find_touching_edges(chosen, dof, dof_before, touching)
+
+    def find_touching_edges(self, chosen, dof, dof_before, touching: wp.array) -> None:
+        """The same of solids alone."""
         if self._has_fixtures:
             self._edges.find_touching(chosen, dof, dof_before, touching)
 

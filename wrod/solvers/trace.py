@@ -9,20 +9,30 @@ import numpy as np
 import warp as wp
 
 from wrod.errors import RodError
+from wrod.kernels.contact import plane_adjoint
 from wrod.kernels.stepping import trace as kernels
+from wrod.solvers.contact import Contact
 
 if TYPE_CHECKING:
-    from wrod.rods.batch import RodBatch
     from wrod.solvers.dynamics import Dynamics
     from wrod.solvers.newton_steps import NewtonSteps
 
 
-def step_arrays(batch: RodBatch, viscous: bool, steps: tuple[int, ...] = ()) -> dict[str, wp.array]:
+def planes_of(dynamics: NewtonSteps) -> Contact | None:
+    """The contact whose adjoint is known, of nodes with planes."""
+    return next((c for c in dynamics.contacts if isinstance(c, Contact)), None)
+
+
+def step_arrays(dynamics: Dynamics, steps: tuple[int, ...] = ()) -> dict[str, wp.array]:
     """Arrays of `kernels.Kept` (`steps` of them) or of `kernels.OneStep`, by name."""
+    batch, viscous = dynamics.batch, dynamics.viscosity.exists
     rods, nodes = batch.rod_count, batch.node_count
+    planes = planes_of(dynamics)
+    memory = (0, 0) if planes is None else planes.memory[1].shape[1:]
     kinds: dict[str, tuple[Any, tuple[int, ...]]] = {
         "coefficient": (wp.vec3d, ()), "span": (wp.float64, ()), "left": (wp.float64, ()),
-        "twist": (wp.float64, (nodes,)),
+        "twist": (wp.float64, (nodes,)), "bristle": (wp.vec3d, memory),
+        "sliding": (wp.int32, memory),
     }  # fmt: skip
     for name in ("dof", "dof_before", "dof_older", "velocity", "velocity_older"):
         kinds[name] = wp.float64, (batch.dof_count,)
@@ -62,7 +72,7 @@ class Record:
 class Trace:
     """Keeps what steps are made of (a `wrod.solvers.newton_steps.Follower`), by kernels alone.
 
-    33 numbers a node and step, 41 of a viscous material.
+    33 numbers a node and step, 8 more of a viscous material and 3.5 for each shape to be touched.
 
     Args:
         dynamics: whose steps; its `follower` is to be this.
@@ -74,7 +84,7 @@ class Trace:
         self.room, viscosity = room, dynamics.viscosity
         self.count = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
         self._touched = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
-        self._arrays = step_arrays(batch, viscosity.exists, (room,))
+        self._arrays = step_arrays(dynamics, (room,))
         self._kept = filled(kernels.Kept(), self._arrays)
         state, start = batch.state, dynamics.start
         now = {
@@ -86,15 +96,25 @@ class Trace:
         }  # fmt: skip
         if viscosity.exists:
             now |= {"strain": viscosity.strain, "strain_older": viscosity.strain_older}
+        self._planes = planes_of(dynamics)
+        if self._planes is not None:
+            _, now["bristle"], now["sliding"] = self._planes.memory
         self._now = filled(kernels.OneStep(), now)
 
     def follow(self, dynamics: NewtonSteps) -> None:
         """Keep the accepted steps."""
         batch = self.batch
+        touched = [dynamics.accepted, batch.state.dof, dynamics.start.dof, self._touched]
         for contact in dynamics.contacts:
-            contact.find_touching(
-                dynamics.accepted, batch.state.dof, dynamics.start.dof, self._touched
-            )
+            if contact is not self._planes:
+                contact.find_touching(*touched)
+        if self._planes is not None:
+            self._planes.find_touching_edges(*touched)
+            shape = (batch.rod_count, batch.node_count)
+            batch.launch(
+                plane_adjoint.find_unknown, shape, [self._planes.memory[0], *touched[:3]],
+                touched[3:],
+            )  # fmt: skip
         dim = (batch.rod_count, batch.dof_count)
         batch.launch(
             kernels.keep_step, dim, [dynamics.pace, self.count, self._now], [self._kept]
@@ -105,7 +125,8 @@ class Trace:
         """What was kept since it was asked last; waits for the device.
 
         Raises:
-            RodError: a rod has taken more steps than there is room for, or touched something.
+            RodError: a rod has taken more steps than there is room for, or touched something whose
+            contact has no adjoint.
         """
         device_count = wp.clone(self.count)
         count, touched = device_count.numpy(), self._touched.numpy().copy()
@@ -119,8 +140,9 @@ class Trace:
             )
         if touched.any():
             raise RodError(
-                f"row {int(np.flatnonzero(touched)[0])} of rods touches something in this step; "
-                "gradients through contact are not there"
+                f"row {int(np.flatnonzero(touched)[0])} of rods touches something in this step "
+                "through which gradients are not there; they are through planes that stand still, "
+                "of rods without natural curvature"
             )
         # Rods that were cut out have taken none.
         kept = {
