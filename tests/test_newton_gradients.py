@@ -47,10 +47,18 @@ def put(pose: wp.array(dtype=wp.transform), hand: int, poses: wp.array(dtype=wp.
 
 
 class Scene:
-    """Two worlds of rods with a preferred bend, the first held by a hand that moves."""
+    """Two rods with a preferred bend, in worlds of their own unless they may touch each other; a
+    hand that moves holds the first."""
 
     def __init__(
-        self, ends=("clamped", "free"), internal=0.01, dt=0.01, states=2, ground=False, **options
+        self,
+        ends=("clamped", "free"),
+        attached=False,
+        internal=0.01,
+        dt=0.01,
+        states=2,
+        ground=False,
+        **options,
     ):
         self.dt, self.states, self.ground = dt, states, ground
         self.options = {"tolerance": 1e-13, "max_iterations": 60} | options
@@ -61,19 +69,26 @@ class Scene:
             line[:, 2] = 0.0037 + 0.0005 * s
         builder = newton.ModelBuilder(gravity=(0.0, 0.0, -9.8125))
         SolverDER.register_custom_attributes(builder)
-        builder.begin_world()
+        together = "rod_contact" in options
+        if not together:
+            builder.begin_world()
         self.hand = builder.add_link(is_kinematic=True)
         SolverDER.add_rod(
             builder, line, material, start=ends[0], start_body=self.hand, end=ends[1],
             internal_damping=internal, air_damping=0.3,
         )  # fmt: skip
-        builder.end_world()
-        builder.begin_world()
+        if attached:
+            SolverDER.attach(builder, 0, self.hand, node=4)
+        if not together:
+            builder.end_world()
+            builder.begin_world()
+        other = line[:, [1, 0, 2]] * 1.1 - [0.2 * together, 0.0, 0.0]
         SolverDER.add_rod(
-            builder, line[:, [1, 0, 2]] * 1.1, material, start="clamped", air_damping=0.6,
+            builder, other, material, start="clamped", air_damping=0.6,
             internal_damping=internal, visible=False,
         )  # fmt: skip
-        builder.end_world()
+        if not together:
+            builder.end_world()
         if ground:
             builder.add_ground_plane(cfg=newton.ModelBuilder.ShapeConfig(mu=0.25))
         model = self.model = builder.finalize(device=DEVICE, requires_grad=True)
@@ -83,14 +98,17 @@ class Scene:
         if not ground:  # what is bent at rest keeps its roll on the ground
             curvature = rng.normal(size=der.node_natural_curvature.numpy().shape)
             der.node_natural_curvature.assign(curvature)
+        noise = 1e-5 if ground else 5e-4 if together else 0.003
         self.start = {
-            "node_q": der.node_q.numpy() + (1e-5 if ground else 0.003) * rng.normal(size=(18, 3)),
+            "node_q": der.node_q.numpy() + noise * rng.normal(size=(18, 3)),
             "node_qd": 0.3 * rng.normal(size=(18, 3)),
             "edge_director": der.edge_director.numpy() + 0.2 * rng.normal(size=(16, 3)),
             "edge_spin": 3.0 * rng.normal(size=16),
         }
-        n = np.arange(STEPS)[:, None]
-        turn = Rotation.from_rotvec(n * [0.03, 0.05, -0.04] + [0.0, 0.3, 0.0]).as_quat()
+        # Rods that may touch go by radii in a step.
+        n = np.arange(STEPS)[:, None] * (0.3 if together else 1.0)
+        tilt = 0.0 if together else 0.3
+        turn = Rotation.from_rotvec(n * [0.03, 0.05, -0.04] + [0.0, tilt, 0.0]).as_quat()
         poses = np.concatenate([n * [0.01, 0.005, 0.003], turn], axis=1)
         if ground:
             poses = 0.2 * n * [0.01, 0.005, 0.001, 0.0, 0.0, 0.2, 0.0] + [*[0.0] * 6, 1.0]
@@ -214,12 +232,13 @@ def compare(scene, names, size=1e-4, **options):
         ({"scheme": "euler", "internal": 0.0}, STEPS + 1),
         ({"max_step": 0.004}, 1),
         ({"inertia": "consistent", "ends": ("pinned", "clamped")}, 2),
+        ({"rod_contact": 0.3, "ends": ("free", "free"), "attached": True, "max_step": 0.006}, 2),
     ],
 )
 def test_gradients_against_differences(options, states):
     """Of a loss on all that the last state holds, by all that the first held, by every property,
     gravity of each world and every pose of the hand, within 1e-6; with states that alternate, one
-    that is its own successor (and substeps), and one for each step."""
+    that is its own successor (and substeps), and one for each step; with rods that share a row."""
     compare(Scene(states=states, **options), EVERY)
 
 

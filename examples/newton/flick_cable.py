@@ -116,9 +116,10 @@ class Example:
         found = minimize(self.evaluate, knots, jac=True, method="L-BFGS-B",
                          options={"maxfun": 60, "ftol": 1e-12})  # fmt: skip
         self.knot.assign(found.x.reshape(-1, 3))
+        off, count = 1e3 * np.array(self.off), len(self.off)
         print(
-            f"off by {1e3 * self.off[0]:.0f} mm at first, by {1e3 * self.off[-1]:.2f} mm after "
-            f"{len(self.off)} motions; gradient off by {self.wrong:.1e}"
+            f"off by {off[0]:.0f} mm at first, by less than 1 mm after {np.argmax(off < 1.0) + 1} "
+            f"motions, by {off[-1]:.2f} mm after {count}; gradient off by {self.wrong:.1e}"
         )
 
     def step(self) -> None:

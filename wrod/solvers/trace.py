@@ -82,6 +82,7 @@ class Trace:
     def __init__(self, dynamics: Dynamics, room: int):
         batch = self.batch = dynamics.batch
         self.room, viscosity = room, dynamics.viscosity
+        self._diverged = dynamics.diverged
         self.count = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
         self._touched = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
         self._arrays = step_arrays(dynamics, (room,))
@@ -125,14 +126,20 @@ class Trace:
         """What was kept since it was asked last; waits for the device.
 
         Raises:
-            RodError: a rod has taken more steps than there is room for, or touched something whose
-            contact has no adjoint.
+            RodError: a rod was cut out, has taken more steps than there is room for, or touched
+            something whose contact has no adjoint.
         """
         device_count = wp.clone(self.count)
         count, touched = device_count.numpy(), self._touched.numpy().copy()
         self.count.zero_()
         self._touched.zero_()
         most = int(count.max())
+        cut = self._diverged.numpy() != 0
+        if cut.any():
+            raise RodError(
+                f"no time step of row {int(np.flatnonzero(cut)[0])} of rods converged, so that it "
+                "has no gradients; take a shorter one, or a larger tolerance"
+            )
         if most > self.room:
             raise RodError(
                 f"row {int(count.argmax())} took {most} time steps where gradients have room for "
