@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from chosen import DEVICE
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import wrod
@@ -336,3 +337,48 @@ def test_gradients_over_the_ground():
     scene = Scene(ground=True, dt=0.005)
     compare(scene, names, size=4e-6)
     assert scene.model.shape_material_mu.grad.numpy()[-1] != 0.0
+
+
+@wp.kernel
+def squared_distance(
+    q: wp.array(dtype=vec3d), target: wp.array(dtype=vec3d), loss: wp.array(dtype=f64)
+):
+    i = wp.tid()
+    wp.atomic_add(loss, 0, wp.length_sq(q[i] - target[i]))
+
+
+def test_a_stiffness_is_found_by_descent():
+    """From where a cable is after 0.2 s, that of bending, which was taken 40 % too large."""
+    builder = make()
+    cable(builder, start="clamped")
+    model = builder.finalize(device=DEVICE, requires_grad=True)
+    solver = SolverDER(model, tolerance=1e-10)
+    stiffness = model.der.node_bending_stiffness
+    true = stiffness.numpy().copy()
+    loss = wp.zeros(1, dtype=f64, device=DEVICE, requires_grad=True)
+
+    def move(factor):
+        stiffness.assign(true * factor)
+        solver.notify_model_changed(SolverDER.ROD_PROPERTIES)
+        state, other = model.state(), model.state()
+        for _ in range(20):
+            solver.step(state, other, None, None, 0.01)
+            state, other = other, state
+        return state.der.node_q
+
+    target = wp.clone(move(1.0), requires_grad=False)
+
+    def evaluate(logarithm):
+        factor, tape = float(np.exp(logarithm[0])), wp.Tape()
+        loss.zero_()
+        with tape:
+            q = move(factor)
+            wp.launch(squared_distance, len(q), [q, target], [loss], device=DEVICE)
+        tape.backward(loss)
+        slope = float((stiffness.grad.numpy() * true).sum()) * factor
+        value = float(loss.numpy()[0])
+        tape.zero()
+        return 1e6 * value, np.array([1e6 * slope])
+
+    found = minimize(evaluate, np.log([1.4]), jac=True, method="L-BFGS-B")
+    assert np.exp(found.x[0]) == pytest.approx(1.0, rel=1e-4)

@@ -1,7 +1,7 @@
 """A hand flicks a hanging cable so that its tip hits a mark: the motion is found by gradients.
 
 Steps of `SolverDER` on a `wp.Tape` give the gradient of where the tip is in the end by everything
-that the hand does before, in about twice the time of the steps, however many numbers say what that
+that the hand does before, at a few times the cost of the steps, however many numbers say what that
 is. Here they are the knots of a spline, and SciPy's L-BFGS-B looks for those that bring the tip to
 the mark while the hand stays near its place.
 
