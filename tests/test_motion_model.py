@@ -6,12 +6,11 @@ import warnings
 import numpy as np
 import pytest
 from cli import done
-from test_motion_trace import STIFFNESS, VISCOUS, moved
+from test_motion_trace import MARKERS, STIFFNESS, VISCOUS, moved
 
 import wrod
 from wrod.errors import WrodWarning
 from wrod.identification.effect import effects
-from wrod.identification.motion.report import identify_motion
 from wrod.identification.motion.setup import START_L_GB
 
 CURVATURE = np.array([-1.0, -1.5])
@@ -22,10 +21,12 @@ L_GB = START_L_GB * np.exp(STIFFNESS / 3)
 def folder(tmp_path_factory):
     """Files that are written for recordings of a viscous rod with a bend of its own."""
     m = moved((effects("motion")["natural_curvature"], CURVATURE))
-    report = identify_motion(m, candidates=("natural_curvature",))
     out = tmp_path_factory.mktemp("identified")
-    written = {path.name for path in report.save(out)}
-    assert written == {"report.json", "report.html", "model.json"}
+    path, held = out.with_suffix(".npz"), [0, 1, MARKERS - 2, MARKERS - 1]
+    np.savez(path, positions=m.positions, rate_hz=m.rate, held=held, gravity=m.gravity)
+    said = done("identify", str(path), "--effect", "natural_curvature", "--out", str(out)).output
+    assert "natural_curvature: " in said and "report.html" in said
+    assert {path.name for path in out.iterdir()} == {"report.json", "report.html", "model.json"}
     return out
 
 

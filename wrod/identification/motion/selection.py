@@ -14,6 +14,7 @@ whole recordings, those of the validation included.
 """
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -101,6 +102,8 @@ class MotionSelection:
     confounded: tuple[dict, ...]
     correlated: tuple[str, ...]
     correlation: np.ndarray
+    # What is another one in each recording is not looked for.
+    scatter: ClassVar[None] = None
 
     @property
     def at_bound(self) -> tuple[str, ...]:
