@@ -28,14 +28,6 @@ from wrod.solvers.solids import (
     shape_record,
 )
 
-
-def _check(shape: object, **checks: arguments.Check) -> None:
-    for name, check in checks.items():
-        wrong = check(getattr(shape, name))
-        if wrong is not None:
-            raise RodError(f"{type(shape).__name__}: {name} {wrong}")
-
-
 __all__ = [
     "Box",
     "Capsule",
@@ -53,18 +45,9 @@ __all__ = [
 
 _IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
 _IS_SHAPE = arguments.like("a Plane or a solid", "_describe")
-
-
-def _frictions(value) -> str | None:
-    """One law, or a list of them."""
-    return arguments.either(_IS_FRICTION, arguments.several(_IS_FRICTION, least=0))(value)
-
-
-def _shapes(value) -> str | None:
-    """One shape, or a list of them."""
-    return arguments.either(_IS_SHAPE, arguments.several(_IS_SHAPE, least=0))(value)
-
-
+# One or a list of them.
+_FRICTIONS = arguments.either(_IS_FRICTION, arguments.several(_IS_FRICTION, least=0))
+_SHAPES = arguments.either(_IS_SHAPE, arguments.several(_IS_SHAPE, least=0))
 # Normal forces rise over this part of the radius: thin against the penetration that is allowed.
 _SKIN = 0.01
 # Radius that keeps a node apart from everything, negative [length].
@@ -169,19 +152,22 @@ class Contact:
 
     def _check(self) -> None:
         """Kinds of the arguments; their sizes where they are used."""
-        _check(
-            self,
-            batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
-            radius=arguments.numbers_of_any_shape,
-            stiffness=arguments.numbers_of_any_shape,
-            friction=arguments.either(_IS_FRICTION, arguments.several(_frictions)),
-            shapes=arguments.several(_shapes, least=0),
-            restitution=arguments.numbers_of_any_shape,
-            friction_field=arguments.optional(
+        checks = {
+            "batch": arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
+            "radius": arguments.numbers_of_any_shape,
+            "stiffness": arguments.numbers_of_any_shape,
+            "friction": arguments.either(_IS_FRICTION, arguments.several(_FRICTIONS)),
+            "shapes": arguments.several(_SHAPES, least=0),
+            "restitution": arguments.numbers_of_any_shape,
+            "friction_field": arguments.optional(
                 arguments.like("a FrictionField", "factor", "x", "y")
             ),
-            keeps_roll=arguments.truths,
-        )
+            "keeps_roll": arguments.truths,
+        }
+        for name, check in checks.items():
+            wrong = check(getattr(self, name))
+            if wrong is not None:
+                raise RodError(f"{type(self).__name__}: {name} {wrong}")
         rods = self.batch.rod_count
         for name in ("restitution", "keeps_roll"):
             if np.shape(getattr(self, name)) not in ((), (1,), (rods,)):
@@ -258,8 +244,8 @@ class Contact:
 
     @arguments.checked(
         RodError,
-        shapes=arguments.several(_shapes, least=0),
-        friction=arguments.either(_IS_FRICTION, arguments.several(_frictions)),
+        shapes=arguments.several(_SHAPES, least=0),
+        friction=arguments.either(_IS_FRICTION, arguments.several(_FRICTIONS)),
     )
     def set_shapes(self, shapes, friction) -> None:
         """Move shapes, or change their friction; as many for every rod as before.
