@@ -64,6 +64,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "dataset --shard-size": (1, 2**20),
     "distil --size": (16, 10**6),
     "distil --steps": (1, 10**7),
+    "distil --rounds": (0, 100),
     "train --generate": (100, 2**29),
     "train --steps": (1, 10**8),
     "train --batch": (1, 2**20),
