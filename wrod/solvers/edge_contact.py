@@ -3,6 +3,7 @@
 import numpy as np
 import warp as wp
 
+from wrod.errors import RodError
 from wrod.kernels.contact import depths, energies
 from wrod.kernels.contact import edges as kernels
 from wrod.kernels.contact.planes import Touchable
@@ -69,7 +70,13 @@ class EdgeContact:
         batch.launch(kernel, dim, inputs, outputs)
 
     def carry(self, carried: CarriedShapes, burden: np.ndarray, apart: np.ndarray) -> None:
-        """Let shapes move with bodies: see `Contact.carry`."""
+        """Let shapes move with bodies: see `Contact.carry`.
+
+        Raises:
+            RodError: rods roll by friction, of which bodies would not get the torque.
+        """
+        if self._model.rolling.numpy().any():
+            raise RodError("rods on shapes that move with them cannot roll; use rolling=False")
         device = self.batch.device
         self.carried = carried
         self._model.burden = wp.array(burden, dtype=wp.float64, device=device)
