@@ -42,7 +42,7 @@ def test_command(tmp_path):
 def test_many_worlds():
     """Every scene has its row: a step in a graph is the same, and a pile loses energy."""
     pytest.importorskip("newton")
-    from wrod.bench.newton_many import graph_of_a_step, worlds_of_cables
+    from wrod.bench.newton_many import gradients_of_steps, graph_of_a_step, worlds_of_cables
     from wrod.bench.newton_piles import Pile, measure
 
     rows = list(worlds_of_cables("cpu", 2, 10, 0.25))
@@ -50,6 +50,8 @@ def test_many_worlds():
     assert all(0.0 < row["tip_error_over_length"] < 0.02 for row in rows)
     (row,) = graph_of_a_step("cpu", 2, 10, 10)
     assert row["largest_difference_m"] == 0.0
+    (row,) = gradients_of_steps("cpu", 2, 10, 10)
+    assert row["gradients_differ"] == 0.0
     row = measure(Pile(3, 12), "stack", "SolverDER", 20)
     assert row["largest_rise_over_energy"] < 1e-3 and not row["diverged"]
     assert 0.0 < row["deepest_over_radius"] < 0.05

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, partial
 
 import newton
 import numpy as np
@@ -67,7 +67,9 @@ class _Hands:
 class HeldDer:
     """Worlds of one cable that hangs along x, its upper end clamped by a kinematic body."""
 
-    def __init__(self, worlds: int, edges: int, dt: float, device: str):
+    def __init__(
+        self, worlds: int, edges: int, dt: float, device: str, requires_grad: bool = False
+    ):
         x = np.linspace(0.0, CABLE.length, edges + 1)
         world = newton.ModelBuilder(gravity=(CABLE.gravity, 0.0, 0.0))
         SolverDER.register_custom_attributes(world)
@@ -79,7 +81,7 @@ class HeldDer:
         builder = newton.ModelBuilder()
         SolverDER.register_custom_attributes(builder)
         builder.replicate(world, worlds)
-        model = builder.finalize(device=device)
+        model = self.model = builder.finalize(device=device, requires_grad=requires_grad)
         self.dt, self._solver = dt, SolverDER(model)
         self._states = [model.state(), model.state()]
         self._hands = _Hands(model, worlds, dt)
@@ -99,7 +101,11 @@ class HeldDer:
     def tips(self) -> np.ndarray:
         if self._solver.diverged.any():
             return np.full((1, 3), np.nan)
-        return self._states[0].der.node_q.numpy()[self._last]
+        return self.state.der.node_q.numpy()[self._last]
+
+    @property
+    def state(self) -> newton.State:
+        return self._states[0]
 
 
 class HeldVbd(Vbd):
@@ -185,6 +191,43 @@ def graph_of_a_step(device: str, worlds: int, edges: int, steps: int = 120) -> I
     }  # fmt: skip
 
 
+@wp.kernel
+def sum_of_squares(q: wp.array[wp.vec3d], every: int, loss: wp.array[wp.float64]):
+    w = wp.tid()
+    wp.atomic_add(loss, 0, wp.length_sq(q[(w + 1) * every - 1]))
+
+
+def gradients_of_steps(device: str, worlds: int, edges: int, steps: int = 40) -> Iterator[dict]:
+    """Steps on a tape, and the way back through them, beside steps without one."""
+    held = HeldDer(worlds, edges, 1.0 / 120, device, requires_grad=True)
+    loss = wp.zeros(1, dtype=wp.float64, device=device, requires_grad=True)
+
+    def timed(work) -> float:
+        wp.synchronize()
+        start = time.perf_counter()
+        work()
+        wp.synchronize()
+        return 1e3 * (time.perf_counter() - start) / steps
+
+    held.advance(_WARM_UP)
+    plain = timed(lambda: held.advance(steps))
+    for _ in range(2):  # the first compiles
+        tape = wp.Tape()
+        with tape:
+            taped = timed(lambda: held.advance(steps))
+            wp.launch(
+                sum_of_squares, worlds, [held.state.der.node_q, edges + 1, loss], device=device
+            )
+        back = timed(partial(tape.backward, loss))
+        found = held.model.der.node_bending_stiffness.grad.numpy().copy().reshape(worlds, -1)
+        tape.zero()
+    yield {
+        "scene": "steps on a tape", "worlds": worlds, "edges": edges, "steps": steps,
+        "plain_ms": plain, "taped_ms": taped, "backward_ms": back,
+        "gradients_differ": float(np.ptp(found, axis=0).max() / np.abs(found).max()),
+    }  # fmt: skip
+
+
 def measure(
     device: str, worlds: int, cables: int, edges: int, seconds: float = 1.0
 ) -> Iterator[dict]:
@@ -192,6 +235,7 @@ def measure(
     scenes = [
         lambda: worlds_of_cables(device, worlds, edges, seconds),
         lambda: graph_of_a_step(device, worlds, edges),
+        lambda: gradients_of_steps(device, worlds, edges),
         lambda: piles(device, cables, edges, round(240 * seconds)),
         lambda: worlds_of_cables(device, min(worlds, _VBD_WORLDS), edges, seconds, (10,)),
     ]
