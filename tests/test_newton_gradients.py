@@ -383,3 +383,27 @@ def test_a_stiffness_is_found_by_descent():
 
     found = minimize(evaluate, np.log([1.4]), jac=True, method="L-BFGS-B")
     assert np.exp(found.x[0]) == pytest.approx(1.0, rel=1e-4)
+
+
+def test_what_a_reset_undoes_has_no_gradients():
+    """Steps before a reset on the tape change nothing after it."""
+    builder = make()
+    cable(builder, start="clamped")
+    model = builder.finalize(device=DEVICE, requires_grad=True)
+    target = wp.clone(model.der.node_q, requires_grad=False)
+    loss = wp.zeros(1, dtype=f64, device=DEVICE, requires_grad=True)
+    found = []
+    for before in (2, 0):
+        solver, state, tape = SolverDER(model, tolerance=1e-10), model.state(), wp.Tape()
+        with tape:
+            for k in range(before + 3):
+                if k == before > 0:
+                    solver.reset(state)
+                solver.step(state, state, None, None, 0.01)
+            inputs = [state.der.node_q, target]
+            wp.launch(squared_distance, len(target), inputs, [loss], device=DEVICE)
+        tape.backward(loss)
+        found.append(model.der.node_bending_stiffness.grad.numpy().copy())
+        tape.zero()
+    assert np.abs(found[0]).max() > 1e-3
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9, atol=1e-12)

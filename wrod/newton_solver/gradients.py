@@ -63,7 +63,7 @@ class Ends:
                 "a state has no gradients; make it by model.state() of a model that was finalized "
                 "with requires_grad=True"
             )
-        # None is better than nothing.
+        # Forces of contact pass nothing on, which None says and zeros would not.
         state.der.node_contact_f.requires_grad = False
         return cls(rods, (state if poses is None else poses).body_q)
 

@@ -83,20 +83,21 @@ class Layout:
 
     def rod_mass(self) -> np.ndarray:
         """(row, node) mass of the rod of each node [kg]."""
-        return self._sums("node_mass", self.model.der.rod_first_node, 0)
+        der = self.model.der
+        return self._sums(der.node_mass.numpy(), der.rod_first_node.numpy())
 
     def line_density(self) -> np.ndarray:
         """(row, node) mass per length of the rod of each node [kg/m]."""
-        length = self._sums("edge_rest_length", self.model.der.rod_first_edge, 1)
+        der = self.model.der
+        length = self._sums(der.edge_rest_length.numpy(), der.rod_first_edge.numpy())
         return self.rod_mass() / length
 
-    def _sums(self, name: str, first, less: int) -> np.ndarray:
-        """(row, node) sum of an attribute over the rod of each node."""
-        der = self.model.der
-        start = first.numpy()[self.rod]
-        end = start + der.rod_node_count.numpy()[self.rod] - less
-        total = np.concatenate([[0.0], np.cumsum(getattr(der, name).numpy())])
-        return total[end] - total[start]
+    def _sums(self, values: np.ndarray, first: np.ndarray) -> np.ndarray:
+        """(row, node) sum of values over the rod of each node; rods lie one after the other."""
+        order = np.argsort(first)
+        total = np.empty(len(first))
+        total[order] = np.add.reduceat(values, first[order])
+        return total[self.rod]
 
     def near_clamps(self, holds: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """(row, edge) edges inside clamps, and those of rods that a body holds together with others
