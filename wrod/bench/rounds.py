@@ -22,10 +22,11 @@ _SHOWN = 12
     help="Deployments at once, separated by commas: of table 3, one trial of each cell first.",
 )
 @click.option("--knots", default=10, show_default=True, help="Trefoils at once; 0: none.")
+@click.option("--reefs", default=0, show_default=True, help="Ready-made reef knots; 0: none.")
 @click.option("--rounds", default=200, show_default=True, help="Rounds that are looked at.")
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(counts: str, knots: int, rounds: int, device: str, as_json: bool) -> None:
+def command(counts: str, knots: int, reefs: int, rounds: int, device: str, as_json: bool) -> None:
     """A round is a Newton iteration of every rod that is under way.
 
     Times of kernels, on a GPU, are of rounds that are launched one by one; a round's own time is as
@@ -41,12 +42,17 @@ def command(counts: str, knots: int, rounds: int, device: str, as_json: bool) ->
     # Of a plan of each cell, then a length that is laid in five seconds.
     laid = cost.deployments(sum(numbers), 0.1, speed=0.02, step=_STEP, spacing=5e-4, device=device)
     knotted = cost.Cost(knots * cost.APPLICATION["trefoil"], 1e7 * knots)
-    work = cost.Cost(laid.seconds + knotted.seconds, laid.memory + knotted.memory)
-    what = f"{sum(numbers)} deployments and {knots} knots"
-    cost.settle(work, what, None, "ask for fewer --rods or --knots", quiet=as_json)
+    bent = cost.Cost(cost.BEND * reefs, 2e7 * reefs)
+    work = cost.Cost(
+        laid.seconds + knotted.seconds + bent.seconds, laid.memory + knotted.memory + bent.memory
+    )
+    what = f"{sum(numbers)} deployments and {knots + reefs} knots"
+    cost.settle(work, what, None, "ask for fewer --rods, --knots or --reefs", quiet=as_json)
     rows = [_deployments(count, rounds, device) for count in numbers]
     if knots:
         rows.append(_knots(knots, rounds, device))
+    if reefs:
+        rows.append(_reefs(reefs, rounds, device))
     if printed_as_json({"machine": machine_line(device), "rows": rows}, as_json):
         return
     for row in rows:
@@ -98,15 +104,37 @@ def _knots(count: int, rounds: int, device: str) -> dict:
     return {"what": "knots", **_timed(run.bench.dynamics, run.bench.time, rounds)}
 
 
-def _timed(dynamics, now: float, rounds: int) -> dict:
-    """What rounds of a simulation that has come to the time `now` cost."""
+def _reefs(count: int, rounds: int, device: str) -> dict:
+    """Ready-made reef knots, as `wrod bench bends` lays them, while they come to rest."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from wrod.bench.applications_trials import KNOT_FRICTION, ROD_FRICTION
+    from wrod.bench.bend_shapes import bend
+    from wrod.knots.workbench import Poses, Workbench
+    from wrod.rods.catalogue import rod
+    from wrod.solvers.contact import Friction
+
+    pair = [rod("green-vps"), rod("pink-vps-thick")]
+    lines, arcs = bend("reef knot", pair)
+    position = np.tile(np.concatenate(lines), (count, 1, 1))
+    director = np.cross(np.diff(position, axis=1), [0.1, 0.2, 1.0])
+    friction = (Friction(KNOT_FRICTION), Friction(ROD_FRICTION))
+    bench = Workbench([pair] * count, arcs, position, director, friction, device=device)
+    away = Poses(np.tile([0.0, 0.0, 1.0], (count, 1)), Rotation.identity(count))
+    bench.run(0.1, lambda t: [away, away])
+    return {"what": "reef knots", **_timed(bench.dynamics, bench.time, rounds, 0.0, 0.2)}
+
+
+def _timed(dynamics, now: float, rounds: int, after: float = _AFTER, timed: float = _TIMED) -> dict:
+    """What rounds of a simulation that has come to the time `now` cost, so long after it."""
     import warp as wp
 
     batch = dynamics.batch
-    before = dynamics.advance(now + _AFTER, _STEP)
+    before = dynamics.advance(now + after, _STEP)
     wp.synchronize_device(batch.device)
     clock = time.perf_counter()
-    after = dynamics.advance(now + _AFTER + _TIMED, _STEP)
+    after = dynamics.advance(now + after + timed, _STEP)
     seconds = time.perf_counter() - clock
     taken = int((after.iterations - before.iterations).max())
     on_gpu = wp.get_device(batch.device).is_cuda
@@ -118,7 +146,7 @@ def _timed(dynamics, now: float, rounds: int) -> dict:
         "rods": batch.rod_count,
         "nodes": batch.node_count,
         "round": 1e3 * seconds / taken,
-        "rounds_a_second": taken / _TIMED,
+        "rounds_a_second": taken / timed,
         "work": sum(spent.values()),
         "launches": launches / rounds,
         "kernels": spent.most_common(_SHOWN),

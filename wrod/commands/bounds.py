@@ -87,6 +87,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "bench grasp --patience": (0.0, 1e6),
     "bench rounds --rounds": (1, 100_000),
     "bench rounds --knots": (0, 10_000),
+    "bench rounds --reefs": (0, 10_000),
     "bench newton --length": (1e-3, 100.0),
     "bench newton --scale": (1e-3, 1e6),
     "bench newton --rods": (1, 100_000),
