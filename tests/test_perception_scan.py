@@ -2,6 +2,7 @@
 
 import io
 import json
+import time
 
 import cv2
 import numpy as np
@@ -349,3 +350,23 @@ def test_a_very_wide_picture_is_read():
     image[0, :2] = 240, 250  # no mask of two values
     with pytest.raises(PerceptionError, match="the picture is blank"):
         read_scan(image)
+
+
+def test_black_on_white_is_ink_and_labels_are_a_mask():
+    image = np.full((240, 320), 255, np.uint8)
+    image[118:123, 40:280] = 0
+    drawn = read_scan(image, kind="ink").single()
+    assert drawn.length == pytest.approx(240, abs=5)
+    for other in (read_scan(image), read_scan((image == 0).astype(np.uint8), mask=True)):
+        assert other.single().length == pytest.approx(drawn.length, abs=2)
+
+
+def test_textures_are_refused_before_they_are_paired():
+    noise = np.random.default_rng(0).random((1000, 1000)) < 0.3
+    grid = np.zeros((1000, 1000), bool)
+    grid[np.arange(1000) % 12 < 3], grid[:, np.arange(1000) % 12 < 3] = True, True
+    for texture in (noise, grid, np.kron(noise[:500, :500], np.ones((4, 4), bool))):
+        start = time.process_time()
+        with pytest.raises(PerceptionError, match=r"texture|cover less"):
+            read_scan(texture, mask=True)
+        assert time.process_time() - start < 10.0

@@ -111,10 +111,12 @@ def as_image(image: np.ndarray, name: str = "the picture") -> np.ndarray:
 
 
 def is_mask(image: np.ndarray) -> bool:
-    """Whether a (H, W) array holds two values only, so that it already is a mask."""
+    """Whether a (H, W) array holds two values only, so that it already is a mask: the bright one on
+    less than half, for more is paper under ink."""
     if image.dtype == bool:
         return image.ndim == 2
     if image.ndim != 2:
         return False
     low, high = image.min(), image.max()
-    return bool(((image == low) | (image == high)).all())
+    bright = 0 if low == high else np.count_nonzero(image == high)
+    return bool(((image == low) | (image == high)).all() and 2 * bright <= image.size)

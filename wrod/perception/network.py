@@ -9,6 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from wrod.errors import PerceptionError
 from wrod.perception.skeleton import Skeleton
 
 # Lengths in units of the strand's radius, unless said otherwise.
@@ -17,6 +18,9 @@ MARGIN = 0.75  # cut off besides: next to where strands part the skeleton leans 
 MARGIN_FROM = 4.0  # arms shorter than this keep all that they have
 WINDOW = 8.0  # over which the direction and curvature of an arm's end are fitted
 ADOPTION = 7.0  # how far a junction looks for a free end that it lacks
+# Of pieces of skeleton in all, and at one junction: with more it is no picture of rods, and pairing
+# them takes minutes.
+_MOST_CHAINS, _MOST_PORTS = 3_000, 200
 
 
 @dataclass
@@ -68,8 +72,13 @@ class Network:
 
 
 def build_network(skeleton: Skeleton) -> Network:
-    """Prune burrs, cut the arms back to where a strand runs alone, and group their ends."""
+    """Prune burrs, cut the arms back to where a strand runs alone, and group their ends.
+
+    Raises:
+        PerceptionError: there are more pieces, or more of them meet in one place, than rods make.
+    """
     chains, clearance = skeleton.chains, skeleton.clearance
+    refuse_a_texture(len(chains), _MOST_CHAINS, "pieces of line stand out of the background")
     inside = np.concatenate([c.pixels for c in chains if len(c.pixels)] or [np.zeros(0, int)])
     radius = float(np.median(clearance[inside])) if len(inside) else 0.0
     group = _Groups(skeleton.junctions.tolist())
@@ -114,7 +123,18 @@ def build_network(skeleton: Skeleton) -> Network:
         elif junction.ports:
             network.junctions.append(junction)
     _adopt_free_ends(network)
+    most = max((len(junction.ports) for junction in network.junctions), default=0)
+    refuse_a_texture(most, _MOST_PORTS, "pieces of line meet in one place")
     return network
+
+
+def refuse_a_texture(count: int, most: int, what: str) -> None:
+    """Raise a PerceptionError if there are more `what` than pictures of rods have."""
+    if count > most:
+        raise PerceptionError(
+            f"{count} {what}, and {most} are the most that rods or strokes make; it is a texture "
+            "or noise: crop the picture to the plain sheet or table, or blur it"
+        )
 
 
 class _Groups:

@@ -286,9 +286,11 @@ def _foreground(picture, mask, kind, color, region) -> tuple[np.ndarray, np.ndar
                 f"the mask has shape {mask.shape}, the picture {picture.shape[:2]}; they must agree"
             )
         return (mask > 0).astype(np.uint8) * np.uint8(255), None
-    if mask or is_mask(picture):
+    if mask or (kind == "auto" and color is None and is_mask(picture)):
         grey = picture if picture.ndim == 2 else picture.max(axis=2)
-        found = np.where(grey > 127, np.uint8(255), np.uint8(0))
+        # Masks of labels are 0 and 1; compressed ones have values around 0 and 255.
+        middle = 0.5 * (float(grey.min()) + float(grey.max()))
+        found = np.where(grey > middle, np.uint8(255), np.uint8(0))
         if region is not None:
             found[region == 0] = 0
         return found, None

@@ -10,7 +10,7 @@ from wrod.patterns.curve import arc_length
 from wrod.perception import refine
 from wrod.perception.image import as_image, is_mask
 from wrod.perception.junctions import is_doubtful, resolve, share_stretches
-from wrod.perception.network import Network, build_network
+from wrod.perception.network import Network, build_network, refuse_a_texture
 from wrod.perception.segment import segment
 from wrod.perception.skeleton import skeletonize
 from wrod.perception.strands import Strand, link_strands
@@ -19,6 +19,7 @@ EXPLAINED = 0.9  # least share of the foreground that the strands must cover
 SHORTEST = 6.0  # shortest strand that is reported, in strand radii; less is dirt
 HALVED = 4.0  # strand radius from which the skeleton is taken from every other pixel [px]
 THICKEST = 1 / 12  # largest strand radius, as a share of the picture's shorter side
+_MOST_CONTOURS = 50_000  # of the foreground, of specks too
 
 
 @dataclass(frozen=True)
@@ -179,6 +180,7 @@ def _tidy(mask: np.ndarray) -> tuple[np.ndarray, float]:
     inner = mask[y : y + height, x : x + width]
     inner = cv2.morphologyEx(inner, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     contours, tree = cv2.findContours(inner, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    refuse_a_texture(len(contours), _MOST_CONTOURS, "outlines stand out of the background")
     perimeter = 0
     for contour, (_, _, _, parent) in zip(contours, tree[0], strict=True):
         perimeter += len(contour)
