@@ -250,8 +250,7 @@ def test_motion_that_goes_on_from_before_the_tape():
 
 
 def test_tapes_may_be_used_again():
-    """A second tape, and the first one after `zero`, say the same; `retain_grad` keeps what is
-    wanted of states on the way."""
+    """A second tape, and the first one after `zero`, say the same."""
     scene = Scene(states=STEPS + 1)
     first = scene.gradients()
     tape = wp.Tape()
@@ -406,4 +405,29 @@ def test_what_a_reset_undoes_has_no_gradients():
         found.append(model.der.node_bending_stiffness.grad.numpy().copy())
         tape.zero()
     assert np.abs(found[0]).max() > 1e-3
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9, atol=1e-12)
+
+
+def test_gradients_of_states_on_the_way_are_kept_if_asked():
+    """They are what a tape says that begins there, but for the step before, which is given."""
+    builder = make()
+    cable(builder)
+    model = builder.finalize(device=DEVICE, requires_grad=True)
+    target = wp.zeros_like(model.der.node_q, requires_grad=False)
+    loss = wp.zeros(1, dtype=f64, device=DEVICE, requires_grad=True)
+    solver = SolverDER(model, scheme="euler", tolerance=1e-10)
+    states, found = [model.state() for _ in range(4)], []
+    for first in (0, 1):
+        states[1].der.node_q.retain_grad = first == 0
+        tape = wp.Tape()
+        with tape:
+            for k in range(first, 3):
+                solver.step(states[k], states[k + 1], None, None, 0.01)
+            inputs = [states[3].der.node_q, target]
+            wp.launch(squared_distance, len(target), inputs, [loss], device=DEVICE)
+        tape.backward(loss)
+        found.append(states[1].der.node_q.grad.numpy().copy())
+        assert not states[2].der.node_q.grad.numpy().any()
+        tape.zero()
+    assert np.abs(found[0]).max() > 0.1
     np.testing.assert_allclose(found[0], found[1], rtol=1e-9, atol=1e-12)

@@ -337,3 +337,18 @@ def want_friction(
     r, k = wp.tid()
     if shape[r, k] >= 0:
         wp.atomic_add(by_material_mu, shape[r, k], float(by_friction[r, k]))
+
+
+@wp.kernel
+def want_damping(
+    # Model:
+    rod: wp.array2d(dtype=wp.int32),
+    # State in:
+    model: WantedModel,
+    # State in and out:
+    by_internal_damping: wp.array(dtype=wp.float64),
+):
+    """Of nodes' viscous times, to that of their rod. Launched over (row, node)."""
+    r, b = wp.tid()
+    t = model.viscous_time[r, b]
+    wp.atomic_add(by_internal_damping, rod[r, b], t[0] + t[1] + t[2] + t[3])

@@ -40,7 +40,8 @@ class Elastic:
 
 @wp.struct
 class WantedModel:
-    """Derivatives of a loss by properties of rods."""
+    """Derivatives of a loss by properties of rods; `viscous_time` without columns where nothing is
+    viscous."""
 
     stretching: wp.array2d(dtype=wp.float64)
     bending: wp.array2d(dtype=wp.vec2d)
@@ -48,6 +49,7 @@ class WantedModel:
     twisting: wp.array2d(dtype=wp.float64)
     natural_twist: wp.array2d(dtype=wp.float64)
     node_mass: wp.array2d(dtype=wp.float64)
+    viscous_time: wp.array2d(dtype=wp.vec4d)
     gravity: wp.array(dtype=wp.vec3d)
 
 
@@ -91,8 +93,12 @@ def want_stretching(
         eta = rod.viscous_time[r, i][3] / rest
         history = step.strain[r, i][3], step.strain_older[r, i][3]
         c = step.coefficient[r]
-        stretch += eta * difference(c, step.span[r], length, history[0], history[1])
+        flow = difference(c, step.span[r], length, history[0], history[1])
+        stretch += eta * flow
         wanted = -stretched * rod.stretching[r, i] * eta
+        times = model.viscous_time[r, i]
+        times[3] = times[3] - stretched * rod.stretching[r, i] * flow / rest
+        model.viscous_time[r, i] = times
         remember(step, before, older, r, i, 3, wanted)
     model.stretching[r, i] = model.stretching[r, i] - stretched * stretch
 
@@ -133,6 +139,7 @@ def want_bending(
 
     length = HALF * (rod.rest_length[r, i - 1] + rod.rest_length[r, i])
     now = strain(step.dof, step.director, step.twist, r, i)
+    flow = wp.vec3d(ZERO, ZERO, ZERO)
     if rod.viscous_time.shape[1] > 0:
         b = step.strain[r, i]
         o = step.strain_older[r, i]
@@ -173,6 +180,11 @@ def want_bending(
     model.natural_twist[r, i] = model.natural_twist[r, i] + twisted * c
     if rod.viscous_time.shape[1] > 0:
         eta = rod.viscous_time[r, i] / length
+        times = model.viscous_time[r, i]
+        for k in range(2):
+            times[k] = times[k] - by_excess[k] * flow[k] / length
+        times[2] = times[2] - twisted * c * flow[2] / length
+        model.viscous_time[r, i] = times
         for k in range(2):
             remember(step, before, older, r, i, k, -by_excess[k] * eta[k])
         remember(step, before, older, r, i, 2, -twisted * c * eta[2])

@@ -20,11 +20,12 @@ from wrod.rods.discretisation import of_free_part
 from wrod.solvers.adjoint import StepAdjoint, require_differentiable
 from wrod.solvers.trace import Record, Trace
 
-# Properties with a gradient, in the order in which `want_properties` takes them.
-PROPERTIES = (
+# Properties with a gradient: in the order in which `want_properties` takes them, and another.
+_OF_NODES = (
     "edge_stretching_stiffness", "node_bending_stiffness", "node_twisting_stiffness",
     "node_natural_curvature", "node_natural_twist", "node_mass",
 )  # fmt: skip
+PROPERTIES = (*_OF_NODES, "rod_internal_damping")
 _STATE = ("node_q", "node_qd", "edge_director", "edge_spin")
 # Steps of a rod that are kept beside those that it should take: where some have to be cut.
 _SPARE = 6
@@ -171,6 +172,7 @@ class GroupGradients:
             ]
             worlds = np.where(group.worlds < 0, len(group.model.gravity) - 1, group.worlds)
             worlds = np.minimum(worlds, len(group.model.gravity) - 1)
+            self._rod = wp.array(layout.rod, dtype=wp.int32, device=device)
             self._shapes = None
             if touched is not None:
                 self._shapes = wp.array(touched.indices(), dtype=wp.int32, device=device)
@@ -241,7 +243,7 @@ class GroupGradients:
 
     def _want_properties(self, adjoint: StepAdjoint) -> None:
         group, model = self.group, self.group.model
-        outputs = [getattr(model.der, name).grad for name in PROPERTIES]
+        outputs = [getattr(model.der, name).grad for name in _OF_NODES]
         if outputs[-1] is None:
             outputs[-1] = wp.zeros(0, dtype=wp.float64, device=group.device)
         group.batch.launch(
@@ -249,6 +251,12 @@ class GroupGradients:
             group.place.shape,
             [group.place, self._world, *self._shares, adjoint.model],
             [*outputs, _numbers(model.gravity.grad, 3, group.device)],
+        )
+        group.batch.launch(
+            kernels.want_damping,
+            self._rod.shape,
+            [self._rod, adjoint.model],
+            [model.der.rod_internal_damping.grad],
         )
         if self._shapes is not None:
             group.batch.launch(

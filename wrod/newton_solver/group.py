@@ -115,15 +115,15 @@ class RodGroup:
         return self.layout.node_values(name)[:, :-1]
 
     def _damping(self) -> dict:
-        """Damping of `Dynamics`: what the rods of a row have in common, and the rest by nodes."""
+        """Damping of `Dynamics`: what the rods of a row have in common, and the rest by nodes, as
+        internal damping where gradients ask for it even of rods that have none."""
         air = self.layout.node_values("air_damping")
-        common = air.min(axis=1)
-        out = {"air_damping": common}
+        out = {"air_damping": (common := air.min(axis=1))}
         if (air != common[:, None]).any():
             extra = (air - common[:, None]) * self.batch.node_mass.numpy()
             out["drag"] = np.stack([extra, np.zeros_like(extra)], axis=2)
         internal = self.layout.node_values("internal_damping")
-        if (internal == internal[:, :1]).all():
+        if (internal == internal[:, :1]).all() and not self.model.requires_grad:
             out["internal_damping"] = internal[:, 0]
         else:
             out["internal_damping"] = np.repeat(internal[:, :, None], 4, axis=2)

@@ -145,6 +145,7 @@ class StepAdjoint:
             ("natural_curvature", (rods, nodes), wp.vec2d),
             ("twisting", (rods, nodes), wp.float64), ("natural_twist", (rods, nodes), wp.float64),
             ("node_mass", (rods, nodes), wp.float64), ("gravity", (rods,), wp.vec3d),
+            ("viscous_time", self._viscous_time.shape, wp.vec4d),
         ):  # fmt: skip
             setattr(model, name, wp.zeros(shape, dtype=dtype, device=device))
         if air_of_mass is None:
