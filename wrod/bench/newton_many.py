@@ -85,7 +85,7 @@ class HeldDer:
         self.dt, self._solver = dt, SolverDER(model)
         self._states = [model.state(), model.state()]
         self._hands = _Hands(model, worlds, dt)
-        self._last = (edges + 1) * (np.arange(worlds) + 1) - 1
+        self.last = (edges + 1) * (np.arange(worlds) + 1) - 1
 
     def step(self) -> None:
         """Two steps, there and back between the states: what a graph can hold."""
@@ -101,7 +101,7 @@ class HeldDer:
     def tips(self) -> np.ndarray:
         if self._solver.diverged.any():
             return np.full((1, 3), np.nan)
-        return self.state.der.node_q.numpy()[self._last]
+        return self.state.der.node_q.numpy()[self.last]
 
     @property
     def state(self) -> newton.State:
@@ -192,15 +192,16 @@ def graph_of_a_step(device: str, worlds: int, edges: int, steps: int = 120) -> I
 
 
 @wp.kernel
-def sum_of_squares(q: wp.array[wp.vec3d], every: int, loss: wp.array[wp.float64]):
+def sum_of_squares(q: wp.array[wp.vec3d], tip: wp.array[wp.int32], loss: wp.array[wp.float64]):
     w = wp.tid()
-    wp.atomic_add(loss, 0, wp.length_sq(q[(w + 1) * every - 1]))
+    wp.atomic_add(loss, 0, wp.length_sq(q[tip[w]]))
 
 
 def gradients_of_steps(device: str, worlds: int, edges: int, steps: int = 40) -> Iterator[dict]:
     """Steps on a tape, and the way back through them, beside steps without one."""
     held = HeldDer(worlds, edges, 1.0 / 120, device, requires_grad=True)
     loss = wp.zeros(1, dtype=wp.float64, device=device, requires_grad=True)
+    tips = wp.array(held.last, dtype=wp.int32, device=device)
 
     def timed(work) -> float:
         wp.synchronize()
@@ -216,7 +217,10 @@ def gradients_of_steps(device: str, worlds: int, edges: int, steps: int = 40) ->
         with tape:
             taped = timed(lambda: held.advance(steps))
             wp.launch(
-                sum_of_squares, worlds, [held.state.der.node_q, edges + 1, loss], device=device
+                sum_of_squares,
+                worlds,
+                [held.state.der.node_q, tips, loss],
+                device=device,
             )
         back = timed(partial(tape.backward, loss))
         found = held.model.der.node_bending_stiffness.grad.numpy().copy().reshape(worlds, -1)
