@@ -103,9 +103,8 @@ def command(
             # The profile of a whole rod is for the report.
             found[1:] = [f"and {len(found) - 1} more in report.json"]
         click.echo(f"  {effect.name}: {', '.join(found)}")
-    if report.selection.scatter:
-        for name, size in report.selection.scatter.sizes.items():
-            click.echo(f"  {name} scatters from trial to trial by {size} in each direction")
+    for name, size in report.scatter.items():
+        click.echo(f"  {name} scatters from trial to trial by {size} in each direction")
     for pair in report.selection.confounded:
         click.echo(f"  {' and '.join(pair['effects'])} are confounded: {pair['evidence']}")
     click.echo("wrote " + ", ".join(str(p) for p in written))

@@ -92,6 +92,11 @@ class Report(Finding):
         """Whether the time was over before all was tried."""
         return False
 
+    @property
+    def scatter(self) -> dict[str, Estimate]:
+        """By name, what is off anew in each trial, where that is all that is left."""
+        return {}
+
     if TYPE_CHECKING:
 
         @property

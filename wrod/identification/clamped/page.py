@@ -55,8 +55,8 @@ def _page(report) -> str:
         ("noise floor", report.noise_floor),
     ]
     found = [(e.title, e.parameters, e.after) for e in report.effects]
-    if report.selection.scatter:
-        sizes = {n.replace("_", " "): e for n, e in report.selection.scatter.sizes.items()}
+    if report.scatter:
+        sizes = {name.replace("_", " "): e for name, e in report.scatter.items()}
         found.append(("off anew in each trial, in each direction", sizes, None))
     return page(
         report,

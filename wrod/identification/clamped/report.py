@@ -21,6 +21,7 @@ from wrod.identification.clamped.trace import Print, trace
 from wrod.identification.clamped.verdict import Selection
 from wrod.identification.effect import (
     Effect,
+    Estimate,
     Model,
     as_asked,
     checked_as_identification,
@@ -63,6 +64,12 @@ class IdentificationReport(Report):
     def out_of_time(self) -> bool:
         """Whether the time was over before all was tried."""
         return self.selection.out_of_time
+
+    @property
+    def scatter(self) -> dict[str, Estimate]:
+        """By name, what is off anew in each trial, where that is all that is left."""
+        found = self.selection.scatter
+        return found.sizes if found else {}
 
     def to_dict(self) -> dict:
         """The content of `report.json`; lengths of errors in mm, everything else SI."""
