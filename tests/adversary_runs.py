@@ -53,7 +53,8 @@ def run(words: list[str], around, place: Path, files: dict[str, str]) -> tuple[E
         path for path, stamp in before.items()
         if _stamp(path) != stamp and (end.code == 2 or path not in written)
     ]  # fmt: skip
-    if end.code == 2 and "complete" not in end.said:
+    deaf = isinstance(around, str) and "2>" in around and "2>&1" not in around
+    if end.code == 2 and "complete" not in end.said and not deaf:  # what stays could not be said
         left += [str(path) for path in place.glob("out*") for path in [path, *path.rglob("*")]]
     return end, left
 

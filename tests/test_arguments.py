@@ -755,6 +755,15 @@ def test_every_public_callable_is_here():
     assert set(wrod.__all__) - {"__version__"} <= here | made_by_others
 
 
+@pytest.mark.parametrize(
+    "metadata", [{"remainder_length": "x"}, {"spin": np.nan}, {"a": own}, {"a": Hostile()}, 3]
+)
+def test_metadata_that_is_none_of_a_trajectory_is_refused(metadata, tmp_path):
+    with pytest.raises(WrodError, match="metadata"):
+        wrod.Trajectory(**{**vars(path()), "metadata": metadata}).save(tmp_path / "a")
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_holds_arrays_is_compared_and_kept_in_sets():
     laid = wrod.load_laid([line().sample(np.linspace(0, 0.5, 60))[0]], line(), noise=1e-3)
     made = [

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.arguments import shown
+from wrod.arguments import number, shown
 from wrod.errors import DataError, RodError
 from wrod.files import (
     check_arrays,
@@ -74,6 +74,10 @@ class Trajectory:
         present = {name: value for name, value in given.items() if value is not None}
         if not isinstance(self.metadata, dict):
             raise DataError(f"Trajectory: metadata is {shown(self.metadata)}; it must be a dict")
+        for name in ("remainder_length", "spin"):
+            if wrong := number()(self.metadata.get(name, 0.0)):
+                said = shown(self.metadata[name])
+                raise DataError(f"Trajectory: metadata: {name} is {said}; it {wrong}")
         for name, value in check_arrays(present, "Trajectory", "Trajectory").items():
             object.__setattr__(self, name, value)
 
@@ -126,7 +130,7 @@ class Trajectory:
         """Write `path` as CSV and NPZ (the suffix of `path` is replaced). Returns both paths.
 
         Raises:
-            DataError: `path` names no file.
+            DataError: `path` names no file, or the metadata is not plain.
         """
         csv = suffixed(path, ".csv")
         columns = ["arc_length [m]"]
@@ -143,7 +147,10 @@ class Trajectory:
             ]
         )
 
-        metadata = json.dumps(self.metadata, sort_keys=True)
+        try:
+            metadata = json.dumps(self.metadata, sort_keys=True)
+        except (TypeError, ValueError, RecursionError) as reason:
+            raise DataError(f"the trajectory's metadata cannot be JSON: {reason}") from None
         values = {name: getattr(self, name) for name in _ARRAYS}
         present = {name: value for name, value in values.items() if value is not None}
         said = [[f"{value:.12g}" for value in row] for row in rows]

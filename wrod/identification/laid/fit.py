@@ -14,7 +14,7 @@ import numpy as np
 from wrod import arguments
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.simulate import Trial, simulate_deployments
-from wrod.errors import DataError
+from wrod.errors import DataError, GraspError
 from wrod.identification.effect import Estimate
 from wrod.identification.laid.measurements import LaidMeasurements
 from wrod.identification.report import Finding
@@ -87,7 +87,14 @@ class _Laying:
             if self.progress is not None:
                 self.progress(share * len(many) / self.runs)
 
-        laid = simulate_deployments(trials, progress=watch, **self.options)
+        try:
+            laid = simulate_deployments(trials, progress=watch, **self.options)
+        except GraspError:
+            ratio = max(np.exp(v[1]) for v in many)
+            raise DataError(
+                "no rod like the believed one comes to lie there (the fit tries one whose L_gb is "
+                f"{ratio:.3g} times as large); check pattern, trajectory, friction and noise"
+            ) from None
         if any(d.diverged for d in laid):
             raise DataError("a simulated deployment diverged; take a smaller step or other rods")
         lines = [d.released_centerline if self.released else d.centerline for d in laid]
