@@ -375,3 +375,31 @@ def test_what_cannot_be_done_or_written_is_refused_before_the_work(
     result = CliRunner().invoke(main, words.split())
     assert result.exit_code == REFUSED and says in result.output.lower(), result.output
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_process_left_half_written_goes(tmp_path):
+    code = (
+        "import sys, time; from wrod.files import write_atomically\n"
+        "def write(file):\n"
+        "    print('writing', flush=True); time.sleep(60)\n"
+        "write_atomically(sys.argv[1], write)"
+    )
+    killed, alive = (
+        subprocess.Popen(
+            [sys.executable, "-c", code, str(tmp_path / name)], stdout=subprocess.PIPE, text=True
+        )
+        for name in ("killed.txt", "alive.txt")
+    )
+    try:
+        assert [p.stdout.readline() for p in (killed, alive)] == ["writing\n"] * 2
+        killed.kill()
+        killed.wait()
+        assert len(list(tmp_path.iterdir())) == 2
+        write_atomically(tmp_path / "killed.txt", lambda file: file.write("whole"))
+        left = sorted(p.name for p in tmp_path.iterdir())
+        assert left[0].startswith(".alive.txt.") and left[1:] == ["killed.txt"]
+    finally:
+        for process in (killed, alive):
+            process.kill()
+            process.stdout.close()
+            process.wait()

@@ -13,6 +13,14 @@ from typing import Any
 
 from wrod.errors import DataError
 
+try:
+    import fcntl
+except ImportError:  # no such locks on this system: what killed processes left stays
+    fcntl = None  # type: ignore[assignment]
+
+_ENDING = ".wrod-part"
+# Folders that were searched for what killed processes left half-written.
+_SWEPT: set[Path] = set()
 # The last of what was written whole, for the message of a command that ends early.
 _FINISHED: deque[Path] = deque(maxlen=1000)
 # What the running command reads, which it may not replace.
@@ -25,7 +33,7 @@ def write_atomically(
     """Call `write(file)` on a temporary file beside `path`, then move it there.
 
     A reader, or a process killed half-way, never sees a half-written file. `finished` knows of it.
-    What a link points to is written, the link stays.
+    What a link points to is written, the link stays. What a killed process left beside it goes.
 
     Raises:
         DataError: a folder, device, pipe or socket stands there, or a file that the command reads.
@@ -34,11 +42,13 @@ def write_atomically(
     path = Path(os.path.realpath(path))
     refuse_no_file(path)
     path.parent.mkdir(parents=True, exist_ok=True)
+    _sweep(path.parent)
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
+        handle, temporary = _begin_part(path)
     except OSError as error:
         error.filename = str(path)
         raise
+    held = os.dup(handle)  # keeps the lock until the file has its name
     try:
         with os.fdopen(handle, mode, newline="" if mode == "w" else None) as file:
             write(file)
@@ -50,8 +60,39 @@ def write_atomically(
         with contextlib.suppress(OSError):  # the folder may be gone, and the reason is elsewhere
             os.unlink(temporary)
         raise
+    finally:
+        os.close(held)
     _FINISHED.append(path)
     return path
+
+
+def _begin_part(path: Path) -> tuple[int, str]:
+    """An open file that nobody else has, beside `path`, locked for as long as it is open."""
+    while True:
+        handle, temporary = tempfile.mkstemp(_ENDING, f".{path.name[:40]}.", path.parent)
+        if fcntl is None:
+            return handle, temporary
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.exists(temporary):
+            return handle, temporary
+        os.close(handle)  # swept before it was locked
+
+
+def _sweep(folder: Path) -> None:
+    """Remove what killed processes left in a folder: parts that nobody holds, once a process."""
+    if fcntl is None or folder in _SWEPT:
+        return
+    _SWEPT.add(folder)
+    with contextlib.suppress(OSError):  # whoever may not look or remove here may yet write
+        for part in folder.glob(f".*{_ENDING}"):
+            handle = os.open(part, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+            try:
+                with contextlib.suppress(BlockingIOError):
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    part.unlink()
+            finally:
+                os.close(handle)
 
 
 def suffixed(path: str | os.PathLike[str], suffix: str) -> Path:
