@@ -20,6 +20,9 @@ from wrod.identification.clamped.trace import trace
 from wrod.identification.effect import Estimate, Model
 from wrod.identification.verdict import CLAMPED
 
+# Farther off than this from trial to trial is no play of a fixture and no camera that was set up
+# again [m, rad]: six numbers an end may turn a clamp by 17 degrees in place of a twisted rod.
+_PLAY = {"m": 3e-3, "rad": np.deg2rad(3.0)}
 # Evidence of a print from which it is one [nats]; twice that is what an effect lowers the
 # information criterion by to join.
 SEEN = 5.0
@@ -64,6 +67,8 @@ def only_scatter(
     noise, rates = estimate(laboratory, model, values)
     # What is not said by poses and cameras alone, large noise along the rod say, is a misfit.
     if not any(noise.scatter) or not CLAMPED.is_noise(noise.size, 1.0):
+        return None
+    if any(s > _PLAY[unit] for s, unit in zip(noise.scatter, SCATTER.values(), strict=True)):
         return None
     try:
         laboratory.set_noise(noise, rates)
