@@ -254,11 +254,6 @@ def test_order_goes_by_the_distance_from_the_end(kernels, device, nodes, count):
         assert (system.row.numpy()[r] + np.arange(nodes) + 1 == ends).all()
 
 
-def test_solutions_of_long_rods_do_not_fit_in_the_window():
-    assert skyline_window.reach_of(1275) == skyline_window.REACH
-    assert skyline_window.reach_of(1276) == -1
-
-
 @pytest.mark.parametrize(("nodes", "count"), [*SIZES, (133, 3), (411, 4)])
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=needs_gpu)])
 def test_a_window_finds_what_lanes_find_who_do_not_reach_too_far(device, nodes, count):

@@ -1,24 +1,23 @@
 """Skyline elimination on a GPU that keeps what it works on close at hand, one rod a block.
 
 The same L and D as `skyline`, and the solution for one right-hand side along with them, for rods
-none of whose columns reaches farther than `REACH` rows down. At column b the rows b...b + REACH lie
-in shared memory, and only columns of L go back to where they came from. Block (q + k, q) has a
-place in the ring of the k-th diagonal, which has room for as many as can be there at a time; row
-b + ROWS takes the places of column b when that is done. The first warp factorises a column while
-the others bring the newest row and ask for the next; then all take the column off the rest.
+none of whose columns reaches farther than `REACH` rows down. At column b the rows b...b + REACH + 1
+lie in shared memory, the next one is on its way there, and only columns of L go back to where they
+came from. Block (q + k, q) has a place in the ring of the k-th diagonal, which has room for as many
+as can be there at a time; row b + ROWS takes the places of column b when that is done.
 
-Forward substitution goes along with the factorisation. On the way back the lines for the next rows
-are fetched while one is at work. Kernels are launched over (rod, lane) in blocks of `TEAM`; how
-blocks are stored, and that the source can be compiled for a CPU: `skyline_lanes`.
+Forward substitution goes along with the factorisation. On the way back the lines for the next
+`AHEAD` rows are fetched while one is at work. Kernels are launched over (rod, lane) in blocks of
+`TEAM`; how blocks are stored, and that the source can be compiled for a CPU: `skyline_lanes`.
 """
 
 import warp as wp
-from wrod.kernels.lanes import TEAM, WARP
+from wrod.kernels.lanes import TEAM
 
 wp.set_module_options({"enable_backward": False})
 
 # Rows of the window, and rows below a column's diagonal that fit: the newest is not looked at yet.
-ROWS = 24
+ROWS = 25
 REACH = ROWS - 2
 # Numbers of a block in the window: one more than it has, against bank conflicts.
 _STRIDE = 17
@@ -31,20 +30,17 @@ def reach_of(nodes: int) -> int:
 
 
 _ELIMINATE = (
-    f"const int TEAM = {TEAM}, LEAD = {WARP}, W = {ROWS}, STRIDE = {_STRIDE};"
-    f"\n#define WROD_AHEAD {_AHEAD}\n"
+    f"const int TEAM = {TEAM}, W = {ROWS}, STRIDE = {_STRIDE};\n#define WROD_AHEAD {_AHEAD}\n"
     + """
 #if defined(__CUDA_ARCH__)
 #define WROD_SHARED __shared__
 #define WROD_TEAM for (int lane = threadIdx.x, once = 1; once; once = 0)
-#define WROD_LEADS (threadIdx.x < LEAD)
 #define WROD_WAIT() __syncthreads()
 #define WROD_LANE_ARRAY(type, name, size) type name[size]
 #define WROD_OWN(name, m) name[m]
 #else
 #define WROD_SHARED
 #define WROD_TEAM for (int lane = 0; lane < TEAM; ++lane)
-#define WROD_LEADS true
 #define WROD_WAIT()
 #define WROD_LANE_ARRAY(type, name, size) type name[size][TEAM]
 #define WROD_OWN(name, m) name[m][lane]
@@ -70,11 +66,9 @@ _ELIMINATE = (
     WROD_SHARED double size[4 * W];
     WROD_SHARED int start_of[W];
     WROD_SHARED int row_of[W];
-    // Reciprocals of the column's pivots, and places of its blocks for even and odd columns.
-    WROD_SHARED double inverse[4];
+    // Places of the column's blocks, for even and odd columns.
     WROD_SHARED int place[2 * W];
-    // What a lane behind the first warp brings next: a line of a row, k blocks before its diagonal.
-#define WROD_BEHIND (lane - LEAD)
+    // What a lane brings next: a line of a row, k = lane / 4 blocks before its diagonal.
     WROD_LANE_ARRAY(double, line, 4);
     WROD_LANE_ARRAY(double, right, 1);
     WROD_LANE_ARRAY(int, spot, 1);
@@ -90,25 +84,25 @@ _ELIMINATE = (
     }
 #define WROD_FETCH_ROW(p, start, at) \\
     WROD_UNROLL for (int c = 0; c < 4; ++c) WROD_OWN(line, c) = 0.0; \\
-    if ((p) < n) { \\
-        const int q = (p) - WROD_BEHIND / 4; \\
+    if ((p) < n && lane < 4 * W) { \\
+        const int q = (p) - lane / 4; \\
         if (q >= (start)) { \\
             const double* from = lines + 16 * ((at) + q) + 4 * (lane % 4); \\
             WROD_UNROLL for (int c = 0; c < 4; ++c) WROD_OWN(line, c) = from[c]; \\
         } \\
-        if (WROD_BEHIND < 4) WROD_OWN(right, 0) = far[4 * (p) + WROD_BEHIND]; \\
+        if (lane < 4) WROD_OWN(right, 0) = far[4 * (p) + lane]; \\
     }
 #define WROD_BRING(p, start, at) \\
-    if ((p) < n) { \\
+    if ((p) < n && lane < 4 * W) { \\
         double* there = window + STRIDE * WROD_OWN(spot, 0) + 4 * (lane % 4); \\
         WROD_UNROLL for (int c = 0; c < 4; ++c) there[c] = WROD_OWN(line, c); \\
         const int slot = (p) % W; \\
-        if (WROD_BEHIND < 4) { \\
+        if (lane < 4) { \\
             WROD_UNROLL for (int c = 0; c < 4; ++c) \\
-                if (c == WROD_BEHIND) size[4 * slot + c] = WROD_OWN(line, c); \\
-            value[4 * slot + WROD_BEHIND] = WROD_OWN(right, 0); \\
+                if (c == lane) size[4 * slot + c] = WROD_OWN(line, c); \\
+            value[4 * slot + lane] = WROD_OWN(right, 0); \\
         } \\
-        if (WROD_BEHIND == 0) { \\
+        if (lane == 0) { \\
             start_of[slot] = start; \\
             row_of[slot] = at; \\
         } \\
@@ -120,7 +114,7 @@ _ELIMINATE = (
             far[k] = a < dofs && open[a] != 0 ? load[a] : 0.0;
         }
         if (lane < W) place[lane] = WROD_RING(lane);
-        WROD_OWN(spot, 0) = WROD_RING(WROD_BEHIND / 4);
+        WROD_OWN(spot, 0) = WROD_RING(lane / 4);
         int i = 0, j = lane / 4;
         while (j > i) j -= ++i;
         WROD_OWN(first_i, 0) = i;
@@ -149,9 +143,7 @@ _ELIMINATE = (
         }
     }
     WROD_FETCH_PROFILE(W)
-    WROD_TEAM {
-        if (lane >= LEAD) { WROD_FETCH_ROW(W, next_start, next_row) }
-    }
+    WROD_TEAM { WROD_FETCH_ROW(W, next_start, next_row) }
     coming_start = next_start;
     coming_row = next_row;
     WROD_FETCH_PROFILE(W + 1)
@@ -162,90 +154,74 @@ _ELIMINATE = (
         const int* at = place + W * (b % 2);
         int* at_next = place + W * ((b + 1) % 2);
         if (b + 1 < n) end = ends[b + 1];
-        if (WROD_LEADS) {
-            // Every lane of the first warp factorises the diagonal block.
-            const double* diagonal = window + STRIDE * at[0];
-            double d[4][4], over[4], known[4];
-            WROD_UNROLL for (int c = 0; c < 4; ++c)
-                WROD_UNROLL for (int e = 0; e <= c; ++e) d[c][e] = diagonal[4 * c + e];
-            // Two pivots at a time, so that their reciprocals do not wait for each other.
-            WROD_UNROLL for (int c = 0; c < 4; c += 2) {
-                // One that cancels to nothing would end as infinity; keep its sign, give it a size.
-                const double least = smallest * (fabs(size[4 * here + c]) + smallest);
-                const double second = smallest * (fabs(size[4 * here + c + 1]) + smallest);
-                if (fabs(d[c][c]) < least) d[c][c] = d[c][c] < 0.0 ? -least : least;
-                const double pivot = d[c][c], beside = d[c + 1][c];
-                double both = pivot * d[c + 1][c + 1] - beside * beside;
-                const bool falls = both != 0.0 && (both < 0.0) != (pivot < 0.0);
-                if (fabs(both) < second * fabs(pivot)) both = (falls ? -second : second) * pivot;
-                negative += (pivot < 0.0) + falls;
-                over[c] = 1.0 / pivot;
-                over[c + 1] = pivot * (1.0 / both);
-                d[c + 1][c] = beside * over[c];
-                d[c + 1][c + 1] = both * over[c];
-                WROD_UNROLL for (int e = c + 2; e < 4; ++e) {
-                    const double left = d[e][c], next = d[e][c + 1] - left * d[c + 1][c];
-                    d[e][c] = left * over[c];
-                    d[e][c + 1] = next * over[c + 1];
-                    WROD_UNROLL for (int f = c + 2; f <= e; ++f) {
-                        d[e][f] -= d[e][c] * (f < e ? d[f][c] * pivot : left);
-                        d[e][f] -= d[e][c + 1] * (f < e ? d[f][c + 1] * d[c + 1][c + 1] : next);
-                    }
-                }
-            }
-            WROD_UNROLL for (int c = 0; c < 4; ++c) {
-                known[c] = value[4 * here + c];
-                WROD_UNROLL for (int e = 0; e < c; ++e) known[c] -= d[c][e] * known[e];
-            }
-            WROD_TEAM {
-                // Lines of the column: of L D in the window, of L where they came from.
-                for (int k = lane; k < 4 * below && lane < LEAD; k += LEAD) {
-                    const int i = k / 4, e = k % 4;
-                    int slot = here + 1 + i;
-                    if (slot >= W) slot -= W;
-                    double* own = window + STRIDE * at[1 + i] + 4 * e;
-                    double m[4], change = 0.0;
-                    WROD_UNROLL for (int c = 0; c < 4; ++c) m[c] = own[c];
-                    WROD_UNROLL for (int c = 1; c < 4; ++c)
-                        WROD_UNROLL for (int f = 0; f < c; ++f) m[c] -= m[f] * d[c][f];
-                    WROD_UNROLL for (int c = 0; c < 4; ++c) {
-                        own[c] = m[c];
-                        m[c] *= over[c];
-                        change += m[c] * known[c];
-                    }
-                    value[4 * slot + e] -= change;
-                    if (start_of[slot] <= b) {
-                        double* to = lines + 16 * (row_of[slot] + b) + 4 * e;
-                        WROD_UNROLL for (int c = 0; c < 4; ++c) to[c] = m[c];
-                    }
-                }
-                if (lane < W) {
-                    const int next = at[lane] + 1;
-                    at_next[lane] = next < WROD_RING(lane + 1) ? next : WROD_RING(lane);
-                }
-                if (lane == LEAD - 1) {
-                    double* to = lines + 16 * (row_of[here] + b);
-                    WROD_UNROLL for (int c = 0; c < 4; ++c) {
-                        inverse[c] = over[c];
-                        far[4 * b + c] = known[c] * over[c];
-                        WROD_UNROLL for (int e = 0; e <= c; ++e) to[4 * c + e] = d[c][e];
-                    }
+        // Every lane factorises the diagonal block.
+        const double* diagonal = window + STRIDE * at[0];
+        double d[4][4], inverse[4], known[4];
+        WROD_UNROLL for (int c = 0; c < 4; ++c)
+            WROD_UNROLL for (int e = 0; e <= c; ++e) d[c][e] = diagonal[4 * c + e];
+        // Two pivots at a time, so that their reciprocals do not wait for each other.
+        WROD_UNROLL for (int c = 0; c < 4; c += 2) {
+            // One that cancels to nothing would end as infinity; keep its sign, give it a size.
+            const double least = smallest * (fabs(size[4 * here + c]) + smallest);
+            const double second = smallest * (fabs(size[4 * here + c + 1]) + smallest);
+            if (fabs(d[c][c]) < least) d[c][c] = d[c][c] < 0.0 ? -least : least;
+            const double pivot = d[c][c], beside = d[c + 1][c];
+            double both = pivot * d[c + 1][c + 1] - beside * beside;
+            const bool falls = both != 0.0 && (both < 0.0) != (pivot < 0.0);
+            if (fabs(both) < second * fabs(pivot)) both = falls ? -second * pivot : second * pivot;
+            negative += (pivot < 0.0) + falls;
+            inverse[c] = 1.0 / pivot;
+            inverse[c + 1] = pivot * (1.0 / both);
+            d[c + 1][c] = beside * inverse[c];
+            d[c + 1][c + 1] = both * inverse[c];
+            WROD_UNROLL for (int e = c + 2; e < 4; ++e) {
+                const double left = d[e][c], next = d[e][c + 1] - left * d[c + 1][c];
+                d[e][c] = left * inverse[c];
+                d[e][c + 1] = next * inverse[c + 1];
+                WROD_UNROLL for (int f = c + 2; f <= e; ++f) {
+                    d[e][f] -= d[e][c] * (f < e ? d[f][c] * pivot : left);
+                    d[e][f] -= d[e][c + 1] * (f < e ? d[f][c + 1] * d[c + 1][c + 1] : next);
                 }
             }
         }
-        if (b > 0) {
-            // The row that takes the places of the last column; nobody asks for it yet.
-            WROD_TEAM {
-                if (lane >= LEAD) {
-                    WROD_BRING(b - 1 + W, coming_start, coming_row)
-                    if (++WROD_OWN(spot, 0) == WROD_RING(WROD_BEHIND / 4 + 1))
-                        WROD_OWN(spot, 0) = WROD_RING(WROD_BEHIND / 4);
-                    WROD_FETCH_ROW(b + W, next_start, next_row)
+        WROD_UNROLL for (int c = 0; c < 4; ++c) {
+            known[c] = value[4 * here + c];
+            WROD_UNROLL for (int e = 0; e < c; ++e) known[c] -= d[c][e] * known[e];
+        }
+        WROD_TEAM {
+            // Lines of the column: of L D in the window, of L where they came from.
+            if (lane < 4 * below) {
+                const int i = lane / 4, e = lane % 4;
+                int slot = here + 1 + i;
+                if (slot >= W) slot -= W;
+                double* own = window + STRIDE * at[1 + i] + 4 * e;
+                double m[4], change = 0.0;
+                WROD_UNROLL for (int c = 0; c < 4; ++c) {
+                    m[c] = own[c];
+                    WROD_UNROLL for (int f = 0; f < c; ++f) m[c] -= m[f] * d[c][f];
+                }
+                WROD_UNROLL for (int c = 0; c < 4; ++c) {
+                    own[c] = m[c];
+                    m[c] *= inverse[c];
+                    change += m[c] * known[c];
+                }
+                value[4 * slot + e] -= change;
+                if (start_of[slot] <= b) {
+                    double* to = lines + 16 * (row_of[slot] + b) + 4 * e;
+                    WROD_UNROLL for (int c = 0; c < 4; ++c) to[c] = m[c];
                 }
             }
-            coming_start = next_start;
-            coming_row = next_row;
-            WROD_FETCH_PROFILE(b + W + 1)
+            if (lane < W) {
+                const int next = at[lane] + 1;
+                at_next[lane] = next < WROD_RING(lane + 1) ? next : WROD_RING(lane);
+            }
+            if (lane == TEAM - 1) {
+                double* to = lines + 16 * (row_of[here] + b);
+                WROD_UNROLL for (int c = 0; c < 4; ++c) {
+                    far[4 * b + c] = known[c] * inverse[c];
+                    WROD_UNROLL for (int e = 0; e <= c; ++e) to[4 * c + e] = d[c][e];
+                }
+            }
         }
         WROD_WAIT();
         WROD_TEAM {
@@ -261,8 +237,10 @@ _ELIMINATE = (
                 // All is read before anything is written, which might be the same for a compiler.
                 double scaled[4], entries[16], result[4];
                 WROD_UNROLL for (int c = 0; c < 16; ++c) entries[c] = other[c];
-                WROD_UNROLL for (int c = 0; c < 4; ++c) result[c] = own[c];
-                WROD_UNROLL for (int c = 0; c < 4; ++c) scaled[c] = left[c] * inverse[c];
+                WROD_UNROLL for (int c = 0; c < 4; ++c) {
+                    scaled[c] = left[c] * inverse[c];
+                    result[c] = own[c];
+                }
                 WROD_UNROLL for (int c = 0; c < 4; ++c)
                     WROD_UNROLL for (int f = 0; f < 4; ++f)
                         result[f] -= scaled[c] * entries[4 * f + c];
@@ -272,8 +250,18 @@ _ELIMINATE = (
             }
         }
         WROD_WAIT();
+        // Nobody asks for the newest row until the next wait.
+        WROD_TEAM {
+            WROD_BRING(b + W, coming_start, coming_row)
+            if (++WROD_OWN(spot, 0) == WROD_RING(lane / 4 + 1))
+                WROD_OWN(spot, 0) = WROD_RING(lane / 4);
+            WROD_FETCH_ROW(b + W + 1, next_start, next_row)
+        }
+        coming_start = next_start;
+        coming_row = next_row;
+        WROD_FETCH_PROFILE(b + W + 2)
     }
-    // The way back, in the window, which is free now.
+    // The way back. The window is free now.
     double* back = window;
     WROD_TEAM {
         if (lane == 0) negative_pivots_out.data[r] = negative;
@@ -288,8 +276,12 @@ _ELIMINATE = (
 #define WROD_FETCH_BACK(s, p) \\
     if ((p) >= 0) { \\
         const double* from = lines + 16 * (base[s] + (p)); \\
-        WROD_UNROLL for (int c = 1; c < 4; ++c) \\
-            WROD_UNROLL for (int e = 0; e < c; ++e) l[s][c * (c - 1) / 2 + e] = from[4 * c + e]; \\
+        l[s][0] = from[4]; \\
+        l[s][1] = from[8]; \\
+        l[s][2] = from[9]; \\
+        l[s][3] = from[12]; \\
+        l[s][4] = from[13]; \\
+        l[s][5] = from[14]; \\
     } \\
     WROD_TEAM { \\
         WROD_OWN(target, s) = -1; \\
@@ -331,8 +323,9 @@ _ELIMINATE = (
                 WROD_FETCH_BACK(s, p - WROD_AHEAD)
                 WROD_WAIT();
                 WROD_TEAM {
-                    if (lane > 0) continue;
-                    WROD_UNROLL for (int c = 0; c < 3; ++c) back[4 * p + c] = known[c];
+                    if (lane == 0) {
+                        WROD_UNROLL for (int c = 0; c < 3; ++c) back[4 * p + c] = known[c];
+                    }
                 }
             }
         }
