@@ -117,8 +117,7 @@ class System:
         negative = wp.full(RODS, -1, dtype=wp.int32, device=self.device)
         x = self.array(np.zeros_like(right), wp.float64)
         profile = [self.free, self.order, self.first, self.last, self.row]
-        near = skyline_window.reach_of(self.nodes)
-        inputs = [self.coupled, self.overflow, self.reach, near, *profile]
+        inputs = [self.coupled, self.overflow, self.reach, *profile]
         self.launch(
             skyline_window.eliminate,
             [*inputs, self.array(right[:, 0], wp.float64), self.zeros(wp.float64, 4)],
