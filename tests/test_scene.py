@@ -239,7 +239,7 @@ def test_bad_input_is_named_and_writes_nothing(tmp_path, letter, change, says):
 def test_mismatched_joint_path_and_suffix_are_named(tmp_path, letter, letter_path):
     shorter = dataclasses.replace(
         letter, **{n: getattr(letter, n)[:50] for n in ("arc_length", "contact", "position")},
-        rotation=letter.rotation[:50], shape=letter.shape[:50],
+        rotation=letter.rotation[:50], force=letter.force[:50], shape=letter.shape[:50],
     )  # fmt: skip
     with pytest.raises(SceneError, match="has 185 nodes and the trajectory 50"):
         wrod.export_usd(tmp_path / "s.usdc", trajectory=shorter, joint_path=letter_path)

@@ -121,7 +121,7 @@ def _refuse_idle(loop: Loop) -> None:
     elif "stiffness" not in (loop.effects or EFFECTS):
         refuse_idle_options("effects without stiffness", "lgb-error")
     if "network" not in loop.controllers:
-        refuse_idle_options("no --controller network", "grasps", "steps")
+        refuse_idle_options("controllers without network", "grasps", "steps")
 
 
 def run(loop: Loop) -> dict[str, Any]:

@@ -68,16 +68,18 @@ class Way:
         x, s = x[20::20], s[20::20]
         s[-1] = end
         known = self.laid[first:]
-        position = CubicSpline(known, self.path.position[first:])(s)
+        contact, position = (
+            CubicSpline(known, points[first:])(s)
+            for points in (self.path.contact, self.path.position)
+        )
         rotation = RotationSpline(known, Rotation.from_matrix(self.path.rotation[first:]))(s)
-        nothing = np.full((len(s), 3), np.nan)
         path = replace(
             self.path,
             arc_length=np.concatenate([self.path.arc_length[:n], start + x]),
-            contact=np.concatenate([self.path.contact[:n], nothing]),
+            contact=np.concatenate([self.path.contact[:n], contact]),
             position=np.concatenate([self.path.position[:n], position]),
             rotation=np.concatenate([self.path.rotation[:n], rotation.as_matrix()]),
-            force=np.concatenate([self.path.force[:n], nothing]),
+            force=np.concatenate([self.path.force[:n], np.full_like(position, np.nan)]),
             shape=None,
             twist=None,
         )
