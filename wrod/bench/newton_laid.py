@@ -102,7 +102,11 @@ def along(axis: int, length: float, edges: int, at=(0.0, 0.0, 0.0)) -> np.ndarra
 
 def borne(density: float, device: str = "cpu") -> tuple[float, float, Scene]:
     """A box lies down on two cables that are clamped at both ends: force on the cables at rest, and
-    the box's weight [N]."""
+    the box's weight [N].
+
+    One of 14 kg would tip over: over its height its weight turns it more than the cables, eight
+    centimetres apart, turn it back.
+    """
     scene = Scene(density=density)
     for y in (-0.04, 0.04):
         scene.rod(along(0, 0.6, 30, (0.0, y, 0.0)), start="clamped", end="clamped", air_damping=5)
@@ -160,7 +164,7 @@ def over_its_block(device: str = "cpu") -> tuple[float, float, float]:
 
 def measure() -> Iterator[tuple[str, str, str]]:
     """(what, found, expected) of one scene after the other, as text."""
-    for density in (0.5, 500.0, 50000.0):
+    for density in (0.5, 500.0, 5000.0):
         found, expected, scene = borne(density)
         deep = float(scene.solver._groups[0].contact.penetration()[0]) / CABLE.radius
         what = f"force of a box of {expected / _G:.2g} kg on two cables [N]"
