@@ -13,6 +13,8 @@ def _start_quietly() -> None:
     error past every setting, and a user of wrod on a CPU did not ask."""
     sys.stderr.flush()
     kept = os.dup(2)
+    if not os.environ.get("WARP_CACHE_PATH", "none"):
+        del os.environ["WARP_CACHE_PATH"]  # Warp would take an empty one for the working folder
     try:
         with open(os.devnull, "wb") as nowhere:
             os.dup2(nowhere.fileno(), 2)

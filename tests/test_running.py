@@ -403,3 +403,11 @@ def test_what_a_killed_process_left_half_written_goes(tmp_path):
             process.kill()
             process.stdout.close()
             process.wait()
+
+
+def test_an_empty_place_of_kernels_is_none(tmp_path):
+    """Warp would take an empty WARP_CACHE_PATH for the working folder."""
+    code = "import wrod.kernels, warp; print(warp.config.kernel_cache_dir)"
+    around = os.environ | {"WARP_CACHE_PATH": ""}
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=around, check=True)
+    assert list(tmp_path.iterdir()) == []
