@@ -75,7 +75,7 @@ def _name(function: Callable, args: tuple) -> str:
     owner, _, name = function.__qualname__.rpartition(".")
     if args and owner in [kind.__name__ for kind in type(args[0]).__mro__]:
         owner = type(args[0]).__name__
-    return f"{owner}.{name}" if owner else name
+    return owner if name == "__init__" else f"{owner}.{name}" if owner else name
 
 
 def each(check: Check, *instead: str) -> Check:

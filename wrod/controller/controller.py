@@ -7,17 +7,15 @@ import os
 import sys
 import warnings
 from importlib import resources
-from pathlib import Path
 
 import numpy as np
 
 from wrod import arguments
 from wrod.controller.curved import curved, twisted
 from wrod.controller.model import WITH_THRUST, chain, paper
+from wrod.controller.trained import Trained
 from wrod.errors import DataError, GraspError, OutOfRangeWarning
-from wrod.files import check_arrays, decode_labels, read_tensors, schemas, write_tensors
 
-_FORMAT = "wrod-controller-1"
 # Networks by name, each of (xp, parameters, (n, 3) inputs): position, rotation vector and force or
 # None, each (n, 3), and twist (n,), without which the rotation is given, or None. Parameters are
 # "weight.i" and "bias.i" of the layers, and mean and scale of what is standardised.
@@ -34,7 +32,7 @@ _SAME_CURVATURE, _SAME_POISSON = 5e-4, 1e-3
 SHIPPED = {"zero_tension": "default", "min_friction": "min-friction", "min_force": "min-force"}
 
 
-class Controller:
+class Controller(Trained):
     """A trained map from (l_s, kappa, k_s) to the optimal grasp, of all straight rods or of one
     naturally curved rod.
 
@@ -47,8 +45,10 @@ class Controller:
             absolute value counts.
     """
 
-    def __init__(self, parameters: dict[str, np.ndarray], metadata: dict):
-        self.metadata = metadata
+    kind, writer = "Controller", "train"
+
+    def _settle(self) -> None:
+        metadata = self.metadata
         self.closure = str(metadata["closure"])
         self.range = {name: tuple(metadata["range"][name]) for name in _INPUTS}
         rod = metadata.get("rod") or {}
@@ -56,15 +56,19 @@ class Controller:
         self.natural_curvature = (float(left), float(up))
         twists = self.natural_curvature != (0.0, 0.0)
         self.poisson = float(rod["poisson"]) if twists else None
-        self._parameters = parameters
         self._network = ARCHITECTURES[metadata["architecture"]]
         # One that learnt a closure with a thrust at the contact before thrusts were learnt.
         self._lacks_thrust = (
             metadata["architecture"] == "chain"
             and self.closure != "zero_tension"
-            and len(parameters["mean"]) < WITH_THRUST
+            and len(self._parameters["mean"]) < WITH_THRUST
         )
         self._on_device: dict = {}
+
+    def _probe(self) -> tuple[np.ndarray, ...]:
+        lowest = np.array([[low for low, _ in self.range.values()]])
+        position, rotation, *_ = self._network(np, self._parameters, lowest)
+        return position.reshape(1, 3), rotation.reshape(1, 3)
 
     @classmethod
     @arguments.checked(DataError)
@@ -89,26 +93,7 @@ class Controller:
             path = str(shipped / f"{SHIPPED[closure]}.safetensors")
         if os.path.isdir(path):
             path = os.path.join(path, "controller.safetensors")
-        what = "a controller that `wrod train` wrote"
-        label, parameters = read_tensors(path, what)
-        metadata = decode_labels(label, schemas.Controller, str(path), what)
-        metadata.pop("sha256", None)
-        parameters = check_arrays(parameters, "Controller", str(path))
-        try:
-            controller = cls(parameters, metadata)
-            probe = np.array([[low for low, _ in controller.range.values()]])
-            position, rotation, *_ = controller._network(np, parameters, probe)
-            whole = position.shape == rotation.shape == (1, 3)
-            whole &= bool(np.isfinite(position).all() and np.isfinite(rotation).all())
-        except (AttributeError, KeyError, TypeError, ValueError, IndexError):
-            whole = False
-        if not whole:
-            raise DataError(f"{path}: its weights or metadata do not fit together; train it again")
-        return controller
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write weights and metadata as safetensors."""
-        return write_tensors(path, {**self.metadata, "format": _FORMAT}, self._parameters)
+        return cls._read(path)
 
     def predict(self, suspended_length, curvature, stretch_ratio):
         """Optimal grasps.
@@ -244,7 +229,7 @@ class Controller:
         key = (inputs.dtype, inputs.device)
         if key not in self._on_device:
             self._on_device[key] = {
-                name: xp.as_tensor(value, dtype=inputs.dtype, device=inputs.device)
+                name: xp.tensor(value, dtype=inputs.dtype, device=inputs.device)
                 for name, value in self._parameters.items()
             }
         return self._on_device[key]

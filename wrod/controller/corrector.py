@@ -8,14 +8,12 @@ import os
 import warnings
 from dataclasses import dataclass
 from importlib import resources
-from pathlib import Path
 
 import numpy as np
 
-from wrod.errors import DataError, OutOfRangeWarning
-from wrod.files import check_arrays, decode_labels, read_tensors, schemas, write_tensors
+from wrod.controller.trained import Trained
+from wrod.errors import OutOfRangeWarning
 
-_FORMAT = "wrod-corrector-1"
 # Where the curvature is seen, from behind the contact to ahead of it [L_gb].
 WINDOW = np.arange(-4.0, 6.01, 0.5)
 _OTHERS = 6
@@ -86,7 +84,7 @@ def _network(xp, parameters: dict, x):
     return x
 
 
-class Corrector:
+class Corrector(Trained):
     """A trained map from what lies around a contact to the correction of the grip there.
 
     Attributes:
@@ -95,10 +93,13 @@ class Corrector:
             [-] of what it learnt.
     """
 
-    def __init__(self, parameters: dict[str, np.ndarray], metadata: dict):
-        self.metadata = metadata
-        self.range = {name: tuple(metadata["range"][name]) for name in _RANGE}
-        self._parameters = parameters
+    kind, writer = "Corrector", "distil"
+
+    def _settle(self) -> None:
+        self.range = {name: tuple(self.metadata["range"][name]) for name in _RANGE}
+
+    def _probe(self) -> tuple[np.ndarray, ...]:
+        return (formula(np, self._parameters, np.zeros((1, FEATURES))).reshape(1, OUTPUTS),)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | None = None) -> Corrector:
@@ -110,24 +111,7 @@ class Corrector:
         if path is None:
             shipped = resources.files("wrod.scenes") / "controller"
             path = str(shipped / "corrections.safetensors")
-        what = "a corrector that `wrod distil` wrote"
-        label, parameters = read_tensors(path, what)
-        metadata = decode_labels(label, schemas.Corrector, str(path), what)
-        metadata.pop("sha256", None)
-        parameters = check_arrays(parameters, "Corrector", str(path))
-        try:
-            one = cls(parameters, metadata)
-            found = formula(np, parameters, np.zeros((1, FEATURES)))
-            whole = found.shape == (1, OUTPUTS)
-        except (AttributeError, KeyError, TypeError, ValueError, IndexError):
-            whole = False
-        if not whole:
-            raise DataError(f"{path}: its weights or metadata do not fit together; distil it again")
-        return one
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write weights and metadata as safetensors."""
-        return write_tensors(path, {**self.metadata, "format": _FORMAT}, self._parameters)
+        return cls._read(path)
 
     def predict(self, course: Course) -> np.ndarray:
         """(T, 3) corrections of the grip's position (forward, left, up) in the contact's frame

@@ -21,6 +21,7 @@ from wrod.patterns.drawings import SUFFIXES as DRAWINGS
 from wrod.patterns.expressions import compile_expression, value_of
 from wrod.patterns.files import RawPoints, checked_points, read_points, refuse_spikes, unit_scale
 from wrod.patterns.smoothing import fit_heading
+from wrod.records import frozen
 
 # Of a bend as wide as the thinnest fibre [1/m].
 _SHARPEST = 1e6
@@ -39,6 +40,14 @@ class Pattern:
         noise: estimated standard deviation of these points across the curve [m].
     """
 
+    @arguments.checked(
+        PatternError,
+        heading=arguments.like("a scipy.interpolate.PPoly", "c", "x", "antiderivative"),
+        origin=arguments.array((2,)),
+        height=arguments.number(),
+        points=arguments.optional(arguments.array((None, 3))),
+        noise=arguments.number(0.0),
+    )
     def __init__(
         self,
         heading: PPoly,
@@ -50,9 +59,13 @@ class Pattern:
         points: np.ndarray | None = None,
         noise: float = 0.0,
     ):
-        self.name, self.points, self.noise = name, points, noise
+        self.name, self.noise = name, noise
+        self.points = None if points is None else frozen(np.asarray(points, float))
         self.source = name if source is None else source
-        self._heading, self._origin, self._height = heading, np.asarray(origin, float), height
+        if heading.c.ndim != 2 or not np.isfinite(heading.c).all():
+            raise PatternError(f"{self.source}: heading must be of finite numbers, one for each s")
+        self._heading = PPoly(heading.c.copy(), heading.x.copy())
+        self._origin, self._height = frozen(np.asarray(origin, float)), float(height)
         self._position = integrate_heading(heading, self._origin)
         s, curvature = self.sharpest()
         if not abs(curvature) <= _SHARPEST:
@@ -307,15 +320,15 @@ class Pattern:
             raise PatternError(
                 f"remainder length is {length!r:.60}; give a positive number of metres"
             )
-        return Pattern(
-            lead_in(self._heading, float(length)),
-            self._origin,
-            name=self.name,
-            source=self.source,
-            height=self._height,
-            points=self.points,
-            noise=self.noise,
-        )
+        return self._redrawn(lead_in(self._heading, float(length)))
+
+    def _redrawn(self, heading: PPoly, **changed) -> Pattern:
+        """The pattern with another heading, and with what else is `changed`."""
+        kept = dict(
+            origin=self._origin, name=self.name, source=self.source, height=self._height,
+            points=self.points, noise=self.noise,
+        )  # fmt: skip
+        return Pattern(heading, **kept | changed)
 
     def departure(self) -> tuple[float, float]:
         """How far the curve leaves the straight lines between the points that it was made from, or
@@ -345,18 +358,9 @@ class Pattern:
         if self.points is not None:
             anchor = np.append(self._origin, self._height)
             points = anchor + factor * (self.points - anchor)
-        return Pattern(
-            PPoly(
-                self._heading.c * powers[:, None],
-                first * factor + factor * (self._heading.x - first),
-            ),
-            self._origin,
-            name=self.name,
-            source=self.source,
-            height=self._height,
-            points=points,
-            noise=self.noise * factor,
-        )
+        s = first * factor + factor * (self._heading.x - first)
+        heading = PPoly(self._heading.c * powers[:, None], s)
+        return self._redrawn(heading, points=points, noise=self.noise * factor)
 
     def reversed(self) -> Pattern:
         """The pattern from its last point to its first.
@@ -377,14 +381,10 @@ class Pattern:
             flipped[len(terms) - 1 - power] = (-1) ** power * value
         flipped = flipped[:, ::-1]
         flipped[-1] += np.pi
-        return Pattern(
+        return self._redrawn(
             PPoly(flipped, x[-1] - x[::-1]),
-            self._position(x[-1]),
-            name=self.name,
-            source=self.source,
-            height=self._height,
+            origin=self._position(x[-1]),
             points=None if self.points is None else self.points[::-1],
-            noise=self.noise,
         )
 
     @arguments.checked(PatternError, spacing=arguments.number(1e-6, 1e3))
