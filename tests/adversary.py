@@ -255,7 +255,7 @@ class Campaign:
 
 def work(task: tuple) -> list[tuple]:
     """The calls of one process: (number, kind, code, seconds, wrong, last words, memory)."""
-    folder, seed, numbers, only, end = task
+    folder, seed, numbers, only, end, log = task
     folder.mkdir(parents=True, exist_ok=True)
     files = material(folder / "files")
     campaign, found = Campaign(folder, files), []
@@ -270,6 +270,9 @@ def work(task: tuple) -> list[tuple]:
         spent = round(ended.seconds, 1)
         row = (number, kind, ended.code, spent, said, ended.said[-160:], ended.memory)
         found.append(row)
+        if log is not None:  # line by line: what was tried is known whatever ends the campaign
+            with open(log, "a", encoding="utf-8", errors="replace") as file:
+                file.write(f"{row!r}\n")
         if said:
             click.echo(f"{number} {kind}: {said}\n   {shlex.join(words)[:400]}\n")
     return found
@@ -291,13 +294,12 @@ def cli(count, first, seed, workers, minutes, only, log) -> None:
     with tempfile.TemporaryDirectory() as place:
         numbers = range(first, first + count)
         tasks = [
-            (Path(place) / str(k), seed, numbers[k::workers], only, end) for k in range(workers)
+            (Path(place) / str(k), seed, numbers[k::workers], only, end, log)
+            for k in range(workers)
         ]
         context = multiprocessing.get_context("spawn")
         with context.Pool(workers) as pool:
             rows = sorted(row for rows in pool.imap_unordered(work, tasks) for row in rows)
-    if log is not None:
-        log.write_text("".join(f"{row!r}\n" for row in rows), encoding="utf-8", errors="replace")
     sys.exit(bool(_told(rows)))
 
 

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 from hostile import arrays_of, save_arrays
+from wrod.scenes import sawyer
 
 import wrod
 from wrod.bench.robot import PATTERNS
 from wrod.commands import main
 
-SCENES = Path(wrod.__file__).resolve().parents[1] / "scenes"
+SCENES = Path(sawyer.__file__).parent
 ROD = ["--rod", "green-vps"]
 # A valid call of each command; words in braces are files of `material`, and {out} is written.
 VALID = {

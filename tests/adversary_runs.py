@@ -9,6 +9,7 @@ import shutil
 import signal
 import stat
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 from adversary_kinds import ALLOWED
@@ -18,6 +19,8 @@ from killing import same
 
 from wrod.commands import main
 
+# Options whose word is written to.
+_WRITES = ("--out", "--usd", "--table")
 DEVICES = ("/dev/null", "/dev/zero", "/dev/full")
 # The most that a call may take before it has said something [s].
 LONGEST = 10.0
@@ -48,6 +51,10 @@ def run(words: list[str], around, place: Path, files: dict[str, str]) -> tuple[E
         left = [path for path in left if "/relative" not in path]  # and here
     if end.code != 2 and not set(words) & {str(out), f"{out}.json", f"{out}.png"}:
         left = []  # it was to write there
+    asked = {one for flag, one in pairwise(words) if flag in _WRITES}
+    if end.code != 2:  # or with another option
+        asked = {os.path.normpath(place / "here" / one) for one in asked}
+        left = [path for path in left if not any(path.startswith(one) for one in asked)]
     written = set(words[words.index("--out") + 1 :][:1]) if "--out" in words else set()
     left += [
         path for path, stamp in before.items()

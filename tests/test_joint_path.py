@@ -1,4 +1,3 @@
-import dataclasses
 import math
 
 import numpy as np
@@ -253,15 +252,9 @@ def test_bad_arguments_are_named(letter):
     ]:
         with pytest.raises(RobotError, match=says):
             wrod.solve_joint_path(letter, **options)
-    # What a trajectory is made of is checked; its arrays may be written to.
-    still = dataclasses.replace(letter, arc_length=letter.arc_length.copy())
-    still.arc_length[20] = still.arc_length[19]
-    with pytest.raises(RobotError, match="arc length does not grow after node 19"):
-        wrod.solve_joint_path(still)
-    broken = dataclasses.replace(letter, position=letter.position.copy())
-    broken.position[7, 1] = np.nan
-    with pytest.raises(RobotError, match="not finite at node 7"):
-        wrod.solve_joint_path(broken)
+    # What a trajectory is made of is checked, and nobody changes it afterwards.
+    with pytest.raises(ValueError, match="read-only"):
+        letter.position[7, 1] = np.nan
 
 
 def test_placement_text_is_in_degrees():

@@ -23,9 +23,8 @@ def a_path(name):
     phase = np.arange(count)
     positions = 0.3 * np.sin(time[:, None] + phase) + 0.1
     velocities = 0.3 * np.cos(time[:, None] + phase)
-    empty = np.zeros(0)
     return JointPath(
-        robot.joint_names, time, positions, velocities, empty, empty, np.zeros((0, count)),
+        robot.joint_names, time, positions, velocities, 0.01 * time, time[::10], positions[::10],
         Placement(0.5, 0.0, 0.0), Grip(), robot,
     )  # fmt: skip
 

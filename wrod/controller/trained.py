@@ -33,7 +33,7 @@ class Trained:
 
     def __init__(self, parameters: dict[str, np.ndarray], metadata: dict, source: str = ""):
         kind, source = self.kind, source or self.kind
-        if not isinstance(parameters, dict):
+        if not isinstance(parameters, dict) or not all(isinstance(k, str) for k in parameters):
             raise DataError(f"{source}: parameters are {shown(parameters)}; give arrays by name")
         label = plain(metadata, f"{source}: metadata") | {"format": f"wrod-{kind.lower()}-1"}
         label.pop("sha256", None)

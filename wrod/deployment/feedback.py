@@ -25,6 +25,7 @@ from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
+from wrod.records import checked_fields
 from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Friction, FrictionField
 
@@ -54,6 +55,13 @@ _WRONG, _LOOKED_AT, _BEGINS, _BEFORE = 4e-4, 0.1, 0.5, 0.05
 _GAIN, _MOST_TIMES = 2e-5, 8
 
 
+@checked_fields(
+    RodError,
+    rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
+    friction=arguments.like("a wrod.Friction", "static", "kinetic"),
+    disturbance=arguments.like("a wrod.Disturbance", "jitter", "offset"),
+    friction_field=arguments.optional(arguments.like("a wrod.FrictionField", "factor", "x", "y")),
+)
 @dataclass(frozen=True)
 class Plant:
     """What is really laid, on what.

@@ -28,6 +28,7 @@ from wrod.errors import SceneError
 from wrod.files import read_json, schemas, write_atomically
 from wrod.files.reading import shown
 from wrod.patterns.pattern import Pattern
+from wrod.records import checked_fields
 from wrod.solvers.contact import Box, Cylinder, Plane
 
 _FORMAT = "wrod-fixtures-1"
@@ -37,6 +38,7 @@ _IS_FIXTURE = arguments.like("a Fixture", "name", "shape")
 _IS_GATE = arguments.several(arguments.text, least=2)
 
 
+@checked_fields(SceneError, shape=arguments.like("a Cylinder or Box", "center", "_describe"))
 @dataclass(frozen=True)
 class Fixture:
     """A post or the wall of a clip.
@@ -119,6 +121,8 @@ class Fixtures:
         ):
             if wrong is not None:
                 raise SceneError(f"Fixtures: {argument} {wrong}")
+        object.__setattr__(self, "items", tuple(self.items))
+        object.__setattr__(self, "gates", tuple(map(tuple, self.gates)))
         names = [item.name for item in self.items]
         twice = {name for name in names if names.count(name) > 1}
         if twice:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.files import read_fields, suffixed, write_npz
+from wrod.files import check_arrays, read_fields, suffixed, write_npz
 from wrod.patterns.pattern import Pattern
+from wrod.records import freeze
 
 # Points of the accuracy metric (Eq. metric, N = 50).
 METRIC_POINTS = 50
@@ -39,6 +40,9 @@ class Deployment:
         let_go: when it let go [s], or None.
         released_speed: speed of the fastest node when the released rod is measured [m/s].
         penetration: how deep the rod is then in any fixture [m].
+
+    Raises:
+        DataError: an array is not as docs/formats.md has it of a deployment's file.
     """
 
     arc_length: np.ndarray
@@ -59,11 +63,16 @@ class Deployment:
     released_speed: float = 0.0
     penetration: float = 0.0
 
+    def __post_init__(self):
+        freeze(self, check_arrays(self._present(), "Deployment", "Deployment"))
+
+    def _present(self) -> dict:
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {"format": _FORMAT} | {k: v for k, v in values.items() if v is not None}
+
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything as an NPZ file (the suffix of `path` is replaced)."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        present = {name: value for name, value in values.items() if value is not None}
-        return write_npz(suffixed(path, ".npz"), format=_FORMAT, units="SI: m, N, s", **present)
+        return write_npz(suffixed(path, ".npz"), units="SI: m, N, s", **self._present())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Deployment:

@@ -2,16 +2,26 @@
 
 from dataclasses import dataclass, field
 
+from wrod.arguments import like, optional
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.setup import Disturbance
+from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
+from wrod.records import checked_fields
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
 
 
+@checked_fields(
+    RodError,
+    friction=like("a wrod.Friction", "static", "kinetic"),
+    disturbance=like("a wrod.Disturbance", "jitter", "offset"),
+    tail=optional(like("a Tail", "laid", "contact", "position", "rotation")),
+    fixtures=optional(like("a wrod.Fixtures", "items", "gates")),
+)
 @dataclass(frozen=True)
 class Trial:
     """One deployment to simulate; see `simulate_deployment`."""

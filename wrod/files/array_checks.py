@@ -94,7 +94,7 @@ def _converted(value: Any, field: Field, what: str, error: type[WrodError]) -> n
     """The values as float64, int64, bool or text."""
     try:
         array = np.asarray(value)
-    except (TypeError, ValueError, OverflowError, RuntimeError):
+    except (TypeError, ValueError, OverflowError, RuntimeError, MemoryError):
         raise error(f"{what} is no array of {field.kind}") from None
     if array.dtype.kind not in _KINDS[field.kind]:
         wanted = "numbers" if field.kind == "rotations" else field.kind

@@ -4,9 +4,58 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrod.arguments import Check, optional
+from wrod.errors import GraspError
+from wrod.records import checked_fields
+
 SENSITIVITIES = ("position_sensitivity", "rotation_sensitivity", "force_sensitivity")
 
 
+def rows(*shape: int | None) -> Check:
+    """An array of NumPy, torch or Warp of rows of that shape; None stands for any length."""
+
+    def check(value):
+        own = getattr(value, "shape", None)
+        try:
+            same = len(own) == 1 + len(shape) and all(
+                a in (None, b) for a, b in zip(shape, own[1:], strict=True)
+            )
+        except Exception:  # whatever an object does that is asked for its shape
+            same = False
+        # Tensors and arrays of Warp say their own kinds of numbers.
+        kind = getattr(getattr(value, "dtype", None), "kind", "f")
+        wanted = str((None, *shape)).replace("None", "n")
+        good = same and kind in "fiub" and not isinstance(value, type)
+        return None if good else f"must be an array of numbers of shape {wanted}"
+
+    return check
+
+
+def same_rows(grasps) -> None:
+    """Refuse grasps whose arrays have not as many rows as each other."""
+    arrays = {name: value for name, value in vars(grasps).items() if hasattr(value, "shape")}
+    counts = {name: value.shape[0] for name, value in arrays.items() if len(value.shape)}
+    for name, count in counts.items():
+        if count != counts["position"]:
+            raise GraspError(
+                f"{type(grasps).__name__}: {name} has {count} rows and position has "
+                f"{counts['position']}; give one for each grasp"
+            )
+
+
+_ONE, _THREE, _NINE = rows(), rows(3), rows(3, 3)
+
+
+@checked_fields(
+    GraspError,
+    position=_THREE, rotation=_THREE, force=_THREE,
+    **dict.fromkeys(
+        ("converged", "stable", "iterations", "residual", "twist", "eigenvalue", "natural_share"),
+        optional(_ONE),
+    ),
+    shape=optional(rows(None, 3)), arc_length=optional(rows(None)),
+    **dict.fromkeys(("force_jacobian", *SENSITIVITIES), optional(_NINE)),
+)  # fmt: skip
 @dataclass(frozen=True, eq=False)
 class Grasps:
     """Optimal grasps, one per input (float64 NumPy, or tensors or Warp arrays
@@ -52,6 +101,9 @@ class Grasps:
     rotation_sensitivity: np.ndarray | None = None
     force_sensitivity: np.ndarray | None = None
     natural_share: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        same_rows(self)
 
     def __len__(self) -> int:
         return len(self.position)

@@ -14,13 +14,25 @@ from wrod.grasps.general import RodArrays, solve_general
 from wrod.grasps.inputs import GraspOptions, check_inputs, closure_number
 from wrod.grasps.mesh import WEIGHT, two_sided_rest_lengths
 from wrod.grasps.optimal import EDGE_COUNT
-from wrod.grasps.results import Grasps
+from wrod.grasps.results import Grasps, rows, same_rows
+from wrod.records import checked_fields
 from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import Rod, mesh_arrays, models_of
 from wrod.rods.model import RodModel
 from wrod.solvers.recording import launching
 
 
+@checked_fields(
+    GraspError,
+    **dict.fromkeys(
+        ("arc_length", "curvature", "twist", "converged", "stable", "iterations", "residual",
+         "eigenvalue"),
+        rows(),
+    ),
+    **dict.fromkeys(("position", "rotation", "force"), rows(3)),
+    force_jacobian=rows(3, 3), shape=rows(None, 3), node_arc_length=rows(None),
+    length_unit=arguments.number(above=0.0), force_unit=arguments.number(above=0.0),
+)  # fmt: skip
 @dataclass(frozen=True, eq=False)
 class RodGrasps:
     """Optimal grasps of one rod, one per contact; SI units, contact frame (x along the pattern, z
@@ -60,6 +72,9 @@ class RodGrasps:
     eigenvalue: np.ndarray
     length_unit: float
     force_unit: float
+
+    def __post_init__(self) -> None:
+        same_rows(self)
 
     def __len__(self) -> int:
         return len(self.position)

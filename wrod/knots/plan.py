@@ -27,10 +27,22 @@ from wrod.errors import DataError
 from wrod.files import read_json, schemas
 from wrod.files.schemas import Move, Pull
 from wrod.patterns.pattern import Pattern
+from wrod.records import checked_fields
 from wrod.rods.catalogue import rod
 from wrod.rods.material import RodMaterial
 
+_IS_RUN = arguments.like("a (pattern, rod)", "__len__", "__getitem__")
+_IS_MOVE = arguments.like("a Move", "hand", "rod", "at", "to")
 
+
+@checked_fields(
+    DataError,
+    rods=arguments.several(_IS_RUN),
+    steps=arguments.several(arguments.several(_IS_MOVE), least=0),
+    pull=arguments.several(arguments.like("a Pull", "rod", "at", "where"), least=0),
+    load=arguments.number(above=0.0, high=1e6),
+    rod_names=arguments.several(arguments.text, least=0),
+)
 @dataclass(frozen=True)
 class KnotPlan:
     """A knot to tie.
@@ -43,6 +55,9 @@ class KnotPlan:
         pull: one for each hand, or none.
         load: pull of both hands at which pulling ends [N].
         rod_names: what the rods are called.
+
+    Raises:
+        DataError: names what is wrong.
     """
 
     name: str
@@ -70,20 +85,33 @@ class KnotPlan:
         )
         steps = tuple(map(tuple, found.steps))
         names = tuple(entry.rod for entry in found.rods)
-        plan = cls(found.name, found.knot, rods, steps, tuple(found.pull), found.load, names)
-        plan._check(path)
-        return plan
+        try:
+            return cls(found.name, found.knot, rods, steps, tuple(found.pull), found.load, names)
+        except DataError as reason:
+            raise DataError(f"{path}: {reason}") from None
 
-    def _check(self, path: Path) -> None:
+    def __post_init__(self) -> None:
+        is_pattern = arguments.like("a wrod.Pattern", "sample", "length", "remainder_length")
+        is_rod = arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length")
+        for k, run in enumerate(self.rods):
+            if len(run) != 2 or is_pattern(run[0]) or is_rod(run[1]):
+                raise DataError(f"rod {k} is no (wrod.Pattern, wrod.RodMaterial)")
+        object.__setattr__(self, "rods", tuple(map(tuple, self.rods)))
+        object.__setattr__(self, "steps", tuple(map(tuple, self.steps)))
+        for name in ("pull", "rod_names"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        self._check_moves()
+
+    def _check_moves(self) -> None:
         if len(self.pull) not in (0, 2):
-            raise DataError(f"{path}: pulls with {len(self.pull)} hands; give two, or none")
+            raise DataError(f"pulls with {len(self.pull)} hands; give two, or none")
         for number, step in enumerate(self.steps):
             hands = [move.hand for move in step]
             if len(set(hands)) < len(hands) or not set(hands) <= {0, 1} or not hands:
-                raise DataError(f"{path}: step {number} needs one move for each of hands 0 and 1")
+                raise DataError(f"step {number} needs one move for each of hands 0 and 1")
         moves: list[Move | Pull] = [m for step in self.steps for m in step]
         for move in [*moves, *self.pull]:
             if not 0 <= move.rod < len(self.rods):
-                raise DataError(f"{path}: a move names rod {move.rod}; there are {len(self.rods)}")
+                raise DataError(f"a move names rod {move.rod}; there are {len(self.rods)}")
             if not 0.0 <= move.at <= self.rods[move.rod][1].length:
-                raise DataError(f"{path}: a move grasps at {move.at:g} m, beyond the rod's ends")
+                raise DataError(f"a move grasps at {move.at:g} m, beyond the rod's ends")

@@ -11,6 +11,7 @@ from wrod.deployment.setup import Disturbance
 from wrod.errors import RodError
 from wrod.knots.fingers import PAD_FRICTION
 from wrod.knots.topology import Recognition
+from wrod.records import checked_fields
 
 # Part of a rod's random closures that has to show its knot: ends that lie inside a loop make it a
 # matter of the closure.
@@ -21,6 +22,14 @@ CLEAR = 0.75
 STILL = 0.2
 
 
+@checked_fields(
+    RodError,
+    laying=arguments.several(arguments.like("a wrod.Disturbance", "jitter", "offset"), least=0),
+    offset=arguments.array((2, 3)),
+    jitter=arguments.number(0.0, 1e3),
+    pad_friction=arguments.several(arguments.number(0.0, 100.0), least=0),
+    seed=arguments.whole(),
+)
 @dataclass(frozen=True)
 class Handling:
     """What distinguishes the handling of one trial from the next; the default is none.
@@ -40,6 +49,12 @@ class Handling:
     jitter: float = 0.0
     pad_friction: tuple[float, ...] = ()
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        offset = np.asarray(self.offset, dtype=float).tolist()
+        for name, value in (("laying", self.laying), ("pad_friction", self.pad_friction)):
+            object.__setattr__(self, name, tuple(value))
+        object.__setattr__(self, "offset", tuple(map(tuple, offset)))
 
     @classmethod
     @arguments.checked(RodError, seed=arguments.whole())

@@ -20,6 +20,7 @@ from wrod.files import (
     write_csv,
     write_npz,
 )
+from wrod.records import freeze, plain
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.model_file import rod_of_json
@@ -72,14 +73,12 @@ class Trajectory:
     def __post_init__(self):
         given = {name: getattr(self, name) for name in _ARRAYS} | {"format": _FORMAT}
         present = {name: value for name, value in given.items() if value is not None}
-        if not isinstance(self.metadata, dict):
-            raise DataError(f"Trajectory: metadata is {shown(self.metadata)}; it must be a dict")
+        object.__setattr__(self, "metadata", plain(self.metadata, "Trajectory: metadata"))
         for name in ("remainder_length", "spin"):
             if wrong := number()(self.metadata.get(name, 0.0)):
                 said = shown(self.metadata[name])
                 raise DataError(f"Trajectory: metadata: {name} is {said}; it {wrong}")
-        for name, value in check_arrays(present, "Trajectory", "Trajectory").items():
-            object.__setattr__(self, name, value)
+        freeze(self, check_arrays(present, "Trajectory", "Trajectory"))
 
     def __len__(self) -> int:
         return len(self.arc_length)

@@ -15,14 +15,17 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from wrod.arguments import number
 from wrod.errors import RobotError
 from wrod.planning.trajectory import Trajectory
+from wrod.records import checked_fields
 
 TURN_LENGTH = 0.05  # [m] a turn of one radian counts as this much travel of the grip
 _FINE = 20  # pieces between two nodes in which the travel is integrated
 _SLOWEST = 1e-3  # [m/m] travel per laid length counts at least so much: the grip may stand still
 
 
+@checked_fields(RobotError, angle=number(-1e3, 1e3), roll=number(-1e3, 1e3))
 @dataclass(frozen=True)
 class Grip:
     """A constant hold of the rod.
@@ -56,25 +59,12 @@ class GripPath:
     """
 
     def __init__(self, trajectory: Trajectory):
-        position = np.asarray(trajectory.position, dtype=np.float64)
-        rotation = np.asarray(trajectory.rotation, dtype=np.float64)
+        position, arc = trajectory.position, trajectory.arc_length
         if len(position) < 3:
             raise RobotError(f"the trajectory has {len(position)} nodes; a joint path needs three")
-        bad = ~(np.isfinite(position).all(1) & np.isfinite(rotation).all((1, 2)))
-        if bad.any():
-            raise RobotError(f"the trajectory is not finite at node {int(np.argmax(bad))}")
-        off = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max((1, 2))
-        off = np.maximum(off, np.abs(np.linalg.det(rotation) - 1.0))
-        if off.max() > 1e-6:
-            node = int(np.argmax(off))
-            raise RobotError(f"the trajectory's rotation at node {node} is off by {off[node]:.1e}")
-        turns = Rotation.from_matrix(rotation)
+        turns = Rotation.from_matrix(trajectory.rotation)
         self.turn = (turns[:-1].inv() * turns[1:]).magnitude()
         self.distance = np.linalg.norm(np.diff(position, axis=0), axis=1)
-        arc = np.asarray(trajectory.arc_length, dtype=np.float64)
-        if np.diff(arc).min() <= 0.0:
-            node = int(np.diff(arc).argmin())
-            raise RobotError(f"the trajectory's arc length does not grow after node {node}")
         self._position = CubicSpline(arc, position)
         self._rotation = RotationSpline(arc, turns)
         fine = np.interp(np.arange((len(arc) - 1) * _FINE + 1) / _FINE, np.arange(len(arc)), arc)

@@ -9,7 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.files import decode_labels, read_fields, suffixed, write_csv, write_npz
+from wrod.arguments import shown
+from wrod.errors import DataError
+from wrod.files import (
+    check_arrays,
+    decode_labels,
+    read_fields,
+    suffixed,
+    write_csv,
+    write_npz,
+)
+from wrod.records import freeze, plain
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
@@ -36,6 +46,9 @@ class JointPath:
         metadata: settings, errors and margins; plain JSON values. `largest_step` [rad] is between
             nodes, `largest_turn` [rad] that of the rod's frame between nodes, which the last joint
             must follow, and `step_beyond_turn` [rad per 5 mm of the grip's way] the rest.
+
+    Raises:
+        DataError: an array is not as docs/formats.md has it of a joint path's file.
     """
 
     names: tuple[str, ...]
@@ -49,6 +62,29 @@ class JointPath:
     grip: Grip
     robot: Robot | None = None
     metadata: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        for name, kind in (("placement", Placement), ("grip", Grip)):
+            if not isinstance(getattr(self, name), kind):
+                raise DataError(f"JointPath: {name} must be a {kind.__name__}")
+        robot = self.robot
+        if robot is not None and not (hasattr(robot, "joint_names") and hasattr(robot, "urdf")):
+            raise DataError(f"JointPath: robot is {shown(robot)}; it must be a Robot")
+        object.__setattr__(self, "metadata", plain(self.metadata, "JointPath: metadata"))
+        found = check_arrays(self._arrays(), "JointPath", "JointPath")
+        freeze(self, {name: found[name] for name in ("names", *_ARRAYS)})
+
+    def _arrays(self) -> dict:
+        """What its file holds, but for the units."""
+        place = self.placement
+        return {
+            "format": _FORMAT,
+            "names": self.names,
+            **{name: getattr(self, name) for name in _ARRAYS},
+            "placement": np.array([place.x, place.y, place.z, place.yaw]),
+            "grip": np.array([self.grip.angle, self.grip.roll]),
+            "metadata": json.dumps(self.metadata, sort_keys=True),
+        }
 
     def __len__(self) -> int:
         return len(self.time)
@@ -75,23 +111,13 @@ class JointPath:
 
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write `path` as CSV (fixed rate) and NPZ (also the nodes). Returns both paths."""
-        csv, place = suffixed(path, ".csv"), self.placement
-        metadata = json.dumps(self.metadata, sort_keys=True)
+        csv, content = suffixed(path, ".csv"), self._arrays()
         head = ["time [s]", *(f"{name} [rad]" for name in self.names)]
         rows = np.column_stack([self.time, self.positions])
         said = [[f"{value:.9g}" for value in row] for row in rows]
         return [
-            write_csv(csv, head, said, f"{_FORMAT} {metadata}"),
-            write_npz(
-                suffixed(path, ".npz"),
-                format=_FORMAT,
-                names=np.array(self.names),
-                **{name: getattr(self, name) for name in _ARRAYS},
-                placement=np.array([place.x, place.y, place.z, place.yaw]),
-                grip=np.array([self.grip.angle, self.grip.roll]),
-                units="SI: s, rad, m",
-                metadata=metadata,
-            ),
+            write_csv(csv, head, said, f"{_FORMAT} {content['metadata']}"),
+            write_npz(suffixed(path, ".npz"), **content, units="SI: s, rad, m"),
         ]
 
     @classmethod

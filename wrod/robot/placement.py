@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from wrod.arguments import number
+from wrod.arguments import number, shown
 from wrod.errors import RobotError
 from wrod.robot.capsules import capsules_of
 from wrod.robot.model import Robot
@@ -41,7 +41,7 @@ class Placement:
         given = (self.x, self.y, self.z, self.yaw)
         if any(number(-_FARTHEST, _FARTHEST)(one) for one in given):
             raise RobotError(
-                f"placement {given!r:.120}: give finite numbers, metres and an angle, within "
+                f"placement {shown(given)}: give finite numbers, metres and an angle, within "
                 f"{_FARTHEST:g}"
             )
 
