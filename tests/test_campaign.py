@@ -28,11 +28,11 @@ def test_stopped_run_simulates_the_rest_only(tmp_path):
 
     ledger = Ledger(tmp_path / "trials.jsonl", {"speed": 1}, KEYS)
     with pytest.raises(KeyboardInterrupt):
-        campaign.run(ledger, keys, stopped, device="cpu", batch=4, quiet=True)
+        campaign.run(ledger, keys, stopped, device="cpu", batch=4)
     assert asked == [keys[:4], keys[4:8]]
     again = Ledger(tmp_path / "trials.jsonl", {"speed": 1}, KEYS)
-    assert again.done() == set(keys[:8])
-    spent = campaign.run(again, keys, rows_of, device="cpu", batch=3, quiet=True)
+    assert again.lacking(keys) == keys[8:]
+    spent = campaign.run(again, keys, rows_of, device="cpu", batch=3)
     assert (spent.trials, spent.steps) == (4, 40)
     assert [row["value"] for row in again.of(keys)] == [f"{c}{t}" for c, t in keys]
 

@@ -2,15 +2,27 @@
 
 import math
 
+import click
 import pytest
 from cli import refused
 
 from wrod import cost, machine
 from wrod.errors import DataError
+from wrod.telling import json_option
 
 
-def settle(one, capsys, force=False, out=None):
-    cost.settle(one, "work", out, "ask for less", force=force)
+@click.command()
+@click.option("--out")
+@cost.force_option
+@json_option
+@click.pass_obj
+def command(work, out):
+    """Does what is handed to it."""
+    cost.settle(work, "work", "ask for less")
+
+
+def settle(one, capsys, *given):
+    command(list(map(str, given)), standalone_mode=False, obj=one)
     return capsys.readouterr().err
 
 
@@ -34,8 +46,9 @@ def test_long_work_is_said(capsys):
 def test_what_the_machine_has_not_needs_force(one, says, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(machine, "available_memory", lambda: 1e9)
     with pytest.raises(DataError, match=f"work: about .*{says}.*ask for less, or give --force"):
-        settle(one, capsys, out=tmp_path / "not" / "there")
-    assert "about" in settle(one, capsys, force=True, out=tmp_path)
+        settle(one, capsys, "--out", tmp_path / "not" / "there")
+    assert "about" in settle(one, capsys, "--force", "--out", tmp_path)
+    assert settle(one, capsys, "--force", "--json") == ""
 
 
 @pytest.mark.parametrize(

@@ -373,7 +373,7 @@ def test_what_to_expect_is_found_out_beside_or_before(beside, monkeypatch):
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             within.clear()
-            asked = (None, rod, trajectory, None, "cpu", True)
+            asked = (None, rod, trajectory, None, "cpu")
             with plan_expected.expecting(*asked, beside=beside) as wait:
                 assert ("expected" in trajectory.metadata) == (not beside)
                 within.set()
@@ -394,7 +394,7 @@ def test_nobody_waits_for_what_to_expect_of_a_plan_that_was_given_up(monkeypatch
 
     monkeypatch.setattr("wrod.deployment.expectation.foresee", foresee)
     monkeypatch.setattr(plan_expected, "usable_cores", lambda: 2)
-    asked = (None, None, SimpleNamespace(metadata={}), None, "cpu", True)
+    asked = (None, None, SimpleNamespace(metadata={}), None, "cpu")
     with pytest.raises(KeyboardInterrupt), plan_expected.expecting(*asked, beside=True):
         assert watched.wait(10.0)
         raise KeyboardInterrupt

@@ -10,10 +10,9 @@ from pathlib import Path
 import click
 
 from wrod.machine import usable_cores
+from wrod.telling import asked, flag
 
-force_option = click.option(
-    "--force", is_flag=True, help="Begin although it needs more than this machine has."
-)
+force_option = flag("force", "Begin although it needs more than this machine has.")
 # Of one core of a server's processor; docs/measured.md has them.
 GRASPS_PER_SECOND, SENSITIVITIES_COST, NODE_STEP = 2000.0, 3.0, 2.3e-5
 APPLICATION = {"S cable": 25.0, "U cable": 15.0, "trefoil": 8.0, "reef": 68.0}
@@ -53,19 +52,14 @@ class Cost:
         return ", ".join(parts)
 
 
-def settle(
-    cost: Cost, what: str, out: Path | None, remedy: str, *, force: bool | None = None,
-    quiet: bool = False,
-) -> None:  # fmt: skip
-    """Say what the work costs, or refuse it.
+def settle(cost: Cost, what: str, remedy: str = "", *, force: bool | None = None) -> None:
+    """Say what the running command's work costs, or refuse it. With --json nothing is said.
 
     Args:
-        cost: of the work, on this machine.
+        cost: of the work, on this machine; on the disk of the command's --out.
         what: is done: "12 trials".
-        out: where it writes.
         remedy: for the refusal: "ask for fewer trials".
-        force: begin in any case; None where that cannot be asked for.
-        quiet: say nothing.
+        force: begin in any case; default: where --force was given.
 
     Raises:
         DataError: the machine has not so much memory or room, or it takes more than a week.
@@ -73,6 +67,9 @@ def settle(
     from wrod.errors import DataError
     from wrod.machine import available_memory
 
+    context = click.get_current_context(silent=True)
+    out = None if context is None else context.params.get("out")
+    force = asked("force") if force is None else force
     lacks = []
     free = available_memory()
     if cost.memory > free:
@@ -87,20 +84,31 @@ def settle(
         remedy += "" if force is None else ", or give --force"
         raise DataError(f"{said}; {' and '.join(lacks)}; {remedy}")
     worth = (cost.seconds, cost.memory, cost.disk)
-    if not quiet and any(a > b for a, b in zip(worth, _NOT_WORTH_SAYING, strict=True)):
+    if not asked("json") and any(a > b for a, b in zip(worth, _NOT_WORTH_SAYING, strict=True)):
         click.echo(f"wrod: {said} on this machine", err=True)
 
 
-def progress_bar(*arguments, quiet: bool = False, **options):
-    """A tqdm bar that shows from the start; where nobody watches, a line every ten seconds."""
+def progress_bar(*arguments, **options):
+    """A tqdm bar that shows from the start, but not with --json; where nobody watches, a line every
+    ten seconds."""
     from tqdm import tqdm
 
     watched = sys.stderr.isatty()
     # In a log nothing stands of what is refused or done before the first line is due.
     pace, wait = (0.1, 0.0) if watched else (10.0, 10.0)
-    options |= {"mininterval": pace, "delay": wait, "disable": quiet, "leave": False}
+    options = {"mininterval": pace, "delay": wait, "leave": False} | options
     bar: Callable = tqdm
-    return bar(*arguments, **options)
+    return bar(*arguments, disable=bool(asked("json")), **options)
+
+
+def counting(bar) -> Callable[[int, int], None]:
+    """What moves a bar: called with how many more are done, and of how many in all."""
+
+    def progress(count: int, total: int) -> None:
+        bar.total = total
+        bar.update(count)
+
+    return progress
 
 
 def grasps(

@@ -1,13 +1,9 @@
 """The line that says on what machine and with which versions a number was read."""
 
-import json
 import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
-
-import click
 
 from wrod import __version__
 from wrod.errors import DataError
@@ -34,14 +30,6 @@ def machine_line(device: str = "cpu") -> str:
 
         parts.insert(1, wp.get_device(device).name)
     return "; ".join(parts)
-
-
-def printed_as_json(figures: dict[str, Any], as_json: bool) -> bool:
-    """Print what a command found for machines, if they ask; else the machine on which a benchmark
-    ran, and the command says the rest."""
-    if as_json or "machine" in figures:
-        click.echo(json.dumps(figures, indent=2) if as_json else figures["machine"])
-    return as_json
 
 
 def usable_cores() -> int:

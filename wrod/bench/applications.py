@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.telling import json_option, tell
 
 CASES = ("S cable", "U cable", "trefoil", "reef")
 
@@ -40,7 +41,7 @@ CASES = ("S cable", "U cable", "trefoil", "reef")
 )
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @cost.force_option
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     out: Path,
     trials: int,
@@ -50,8 +51,6 @@ def command(
     batch: int | None,
     usd: Path | None,
     device: str,
-    as_json: bool,
-    force: bool,
 ) -> None:
     """The paper's success table: cable placement along S and U, trefoil and reef knot, {INT, OPT} x
     ten trials.
@@ -67,36 +66,29 @@ def command(
     from wrod.bench.applications_cables import disturbances_text
     from wrod.bench.applications_report import markdown, table
     from wrod.bench.applications_trials import METHODS, SHORT
-    from wrod.errors import RodError
     from wrod.files import row_schemas
     from wrod.files.ledger import Ledger
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
-    if first < 0:
-        raise RodError(f"first is {first}; give 0 or more")
-    if trials < 1:
-        raise RodError(f"trials is {trials}; give 1 or more")
     device = resolve_device(device)
     cases = chosen or CASES
-    out.mkdir(parents=True, exist_ok=True)
     kind = row_schemas.ApplicationsRow
     ledger = Ledger(out / "trials.jsonl", {}, ("case", "method", "trial"), "applications", kind)
     methods = [method for method in METHODS if not asked or SHORT[method] in asked]
-    keys = list(product(range(first, first + trials), cases, methods))
-    done = ledger.done()
-    pending = [key for key in keys if (key[1], key[2], key[0]) not in done]
+    numbers = range(first, first + trials)
+    keys = [(case, method, trial) for trial, case, method in product(numbers, cases, methods)]
+    pending = ledger.lacking(keys)
     size = batch or (5 if device == "cpu" else max(trials, 1))
     start = time.perf_counter()
-    seconds = sum(cost.APPLICATION[case] for _, case, _ in pending)
+    seconds = sum(cost.APPLICATION[case] for case, *_ in pending)
     cost.settle(
-        cost.Cost(seconds, 2e7 * size, 1e5 * len(pending)), f"{len(pending)} trials", out,
-        "ask for fewer --trials or for one --case", force=force, quiet=as_json,
+        cost.Cost(seconds, 2e7 * size, 1e5 * len(pending)), f"{len(pending)} trials",
+        "ask for fewer --trials or for one --case",
     )  # fmt: skip
-    written = _run(pending, len(keys), cases, size, ledger, device, usd, as_json)
+    written = _run(pending, len(keys), cases, size, ledger, device, usd)
     seconds = time.perf_counter() - start
-    wanted = {(case, method, trial) for trial, case, method in keys}
-    rows = [r for r in ledger.rows if (r["case"], r["method"], r["trial"]) in wanted]
+    rows = ledger.of(keys)
     cells = table(rows)
     text = markdown(cells) + "\n" + disturbances_text(rows)
     written += [*_write(out, text, rows), ledger.path]
@@ -111,24 +103,17 @@ def command(
         ],
         "written": [str(path) for path in written],
     }
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(f"{len(pending)} trials on {device} in {seconds:.1f} s")
-    click.echo(text)
-    for path in written:
-        click.echo(f"wrote {path}")
+    tell(figures, f"{len(pending)} trials on {device} in {seconds:.1f} s", text)
 
 
-def _run(pending: list, total: int, cases, size: int, ledger, device, usd, quiet) -> list[Path]:
+def _run(pending: list, total: int, cases, size: int, ledger, device, usd) -> list[Path]:
     """Run the trials that are left into the ledger; the scenes written."""
     from wrod.bench.applications_trials import METHODS, run_trials
 
     written: list[Path] = []
-    with cost.progress_bar(
-        total=total, initial=total - len(pending), unit="trial", quiet=quiet
-    ) as bar:
+    with cost.progress_bar(total=total, initial=total - len(pending), unit="trial") as bar:
         for case, method in product(cases, METHODS):
-            mine = [trial for trial, c, m in pending if (c, m) == (case, method)]
+            mine = [trial for *cell, trial in pending if cell == [case, method]]
             for start_at in range(0, len(mine), size):
                 part = mine[start_at : start_at + size]
                 bar.set_postfix_str(f"{case} {method}")

@@ -5,6 +5,7 @@ import time
 import click
 
 from wrod import cost
+from wrod.telling import json_option, tell
 
 
 @click.command(name="bends")
@@ -17,19 +18,15 @@ from wrod import cost
 @click.option(
     "--out", default=None, type=click.Path(dir_okay=False), help="Write a picture to this PNG file."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(
-    frictions: str, load: float, rods: str, only: tuple, out: str | None, as_json: bool
-) -> None:
+@json_option
+def command(frictions: str, load: float, rods: str, only: tuple, out: str | None) -> None:
     """Pull ready-made reef and granny knots of two rods, and rods that are not tied, as `wrod bench
     applications` pulls its knots: up to a load that is kept up.
     A minute or two of CPU each."""
-    from tqdm import tqdm
-
     from wrod.arguments import parse_list
     from wrod.bench.bend_shapes import BENDS
     from wrod.errors import RodError
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.rods.catalogue import rod
 
     friction = parse_list(frictions, "--friction", 0.0, 100.0)
@@ -44,27 +41,30 @@ def command(
         raise RodError(f"load is {load:g} N; it must be positive")
     rows = []
     jobs = [(name, f) for name in names for f in (friction if name != "unknot" else friction[:1])]
-    cost.settle(cost.Cost(cost.BEND * len(jobs)), f"{len(jobs)} bends", None, "", quiet=as_json)
-    for name, f in tqdm(jobs, leave=False, disable=as_json):
+    cost.settle(cost.Cost(cost.BEND * len(jobs)), f"{len(jobs)} bends")
+    for name, f in cost.progress_bar(jobs):
         clock = time.process_time()
         rows.append({**pull_bend(name, pair, f, load), "cpu_seconds": time.process_time() - clock})
     figures = {"machine": machine_line(), "load": load, "rods": rods, "rows": rows}
     if out:
         draw(out, rows, [one.radius for one in pair])
         figures["picture"] = out
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(f"{rods}, both hands pull with {load:g} N\n")
-    click.echo("| laid as | friction | pull reached [N] | gave [mm] | held | at the end |")
-    click.echo("| --- | --- | --- | --- | --- | --- |")
-    for row in rows:
-        gave = f"{1e3 * row['crept']:.1f}" if row["tight"] else ""
-        click.echo(
-            f"| {row['laid']} | {row['friction']:g} | {row['strongest']:.2f} | {gave} | "
-            f"{'yes' if row['held'] else 'no'} | {row['pulled']} |"
-        )
-    if out:
-        click.echo(f"wrote {out}")
+    tell(
+        figures,
+        f"{rods}, both hands pull with {load:g} N\n",
+        "| laid as | friction | pull reached [N] | gave [mm] | held | at the end |",
+        "| --- | --- | --- | --- | --- | --- |",
+        *map(_told, rows),
+        *[f"wrote {out}"] * bool(out),
+    )
+
+
+def _told(row: dict) -> str:
+    gave = f"{1e3 * row['crept']:.1f}" if row["tight"] else ""
+    return (
+        f"| {row['laid']} | {row['friction']:g} | {row['strongest']:.2f} | {gave} | "
+        f"{'yes' if row['held'] else 'no'} | {row['pulled']} |"
+    )
 
 
 def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> dict:

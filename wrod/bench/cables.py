@@ -3,7 +3,6 @@
 Restartable: a fold that has ended is kept, and so is what one that was stopped has computed.
 """
 
-import json
 from pathlib import Path
 
 import click
@@ -11,6 +10,7 @@ import click
 from wrod import cost, side_by_side
 from wrod.files.ledger import Ledger
 from wrod.files.row_schemas import FoldRow
+from wrod.telling import asked, json_option, tell
 
 
 def fold_row(
@@ -150,7 +150,7 @@ def _work(paths, jobs, workers: int) -> cost.Cost:
     type=click.Path(file_okay=False, path_type=Path),
     help="Keep the folds that have ended (folds.jsonl) and the figures (cables.json) here.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+@json_option
 def command(
     folder: Path,
     number: int,
@@ -158,19 +158,14 @@ def command(
     workers: int,
     device: str,
     out: Path | None,
-    as_json: bool,
 ) -> None:
     """Cross-validate `wrod identify` on recordings of rods in motion.
 
     Every recording is predicted by a model that has not seen it: neither its fit nor the choice of
     its effects. With --out a run that was stopped goes on.
     """
-    import sys
-
-    from tqdm import tqdm
-
     from wrod.errors import DataError
-    from wrod.files import write_text
+    from wrod.files import write_json
     from wrod.identification.motion.loading import is_motion, load_motion
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -188,29 +183,19 @@ def command(
     device = resolve_device(device)
     stems = [p.stem for p in paths]
     settings = {"folds": number, "contiguous": contiguous, "data": stems}
-    ledger = None
-    if out:
-        out.mkdir(parents=True, exist_ok=True)
-        ledger = Ledger(out / "folds.jsonl", settings, ("rod", "fold"), "cables", FoldRow)
-    rows = list(ledger.rows) if ledger else []
-    have = {(row["rod"], row["fold"]) for row in rows}
+    kept = out / "folds.jsonl" if out else None
+    ledger = Ledger(kept, settings, ("rod", "fold"), "cables", FoldRow)
+    by_stem = {p.stem: str(p) for p in paths}
     # The rods in turn, so that a run which is stopped has some of each.
     jobs = [
-        (str(p), k, number, contiguous, device, str(out) if out else None)
-        for k in range(number)
-        for p in paths
-        if (p.stem, k) not in have
+        (by_stem[stem], k, number, contiguous, device, str(out) if out else None)
+        for stem, k in ledger.lacking((stem, k) for k in range(number) for stem in stems)
     ]
-    work = _work(paths, jobs, workers)
-    cost.settle(work, f"{len(jobs)} folds", out, "ask for fewer", quiet=as_json)
-    ended = side_by_side.run(fold_row, jobs, workers)
-    for _, row in tqdm(ended, total=len(jobs), disable=None, file=sys.stderr):
-        rows.append(row)
-        if ledger:
-            ledger.add([row])
-    rows.sort(key=lambda r: (stems.index(r["rod"]), r["fold"]))
-    done = [[r for r in rows if r["rod"] == p.stem] for p in paths]
-    found = [summary(r) for r in done]
+    cost.settle(_work(paths, jobs, workers), f"{len(jobs)} folds", "ask for fewer")
+    for _, row in cost.progress_bar(side_by_side.run(fold_row, jobs, workers), total=len(jobs)):
+        ledger.add([row])
+    rows = ledger.of((stem, k) for stem in stems for k in range(number))
+    found = [summary([r for r in rows if r["rod"] == stem]) for stem in stems]
     content = {
         "machine": machine_line(device),
         "folds": number,
@@ -218,11 +203,10 @@ def command(
         "summary": found,
         "rows": rows,
     }
-    text = json.dumps(content, indent=2, allow_nan=False)
     if out:
-        write_text(out / "cables.json", text + "\n")
-    if as_json:
-        click.echo(text)
+        write_json(out / "cables.json", content, allow_nan=False)
+    if asked("json"):
+        tell(content)
         return
     kind = "contiguous folds" if contiguous else "folds of every n-th recording"
     click.echo(f"{content['machine']}; {number} {kind}")

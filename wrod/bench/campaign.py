@@ -11,6 +11,8 @@ import numpy as np
 from wrod import cost
 from wrod.deployment.bounds import check_release, refuse_long_moves
 from wrod.files.ledger import Ledger
+from wrod.machine import machine_line
+from wrod.telling import json_option, tell
 
 # Points at which laid curves are kept.
 _CURVE_POINTS = 60
@@ -43,7 +45,6 @@ def run(
     *,
     device: str,
     batch: int | None = None,
-    quiet: bool = False,
 ) -> Spent:
     """Simulate the trials that the ledger lacks, and note each batch of them when it is done.
 
@@ -54,16 +55,12 @@ def run(
             done since the last call); returns their rows, each with "steps".
         device: where it runs.
         batch: trials at once; default: 32 on a CPU, all on a GPU.
-        quiet: show no progress.
     """
-    from tqdm import tqdm
-
-    done = ledger.done()
-    pending = [key for key in keys if key not in done]
+    pending = ledger.lacking(keys)
     size = _at_once(len(pending), batch, device)
     start, steps = time.perf_counter(), 0
-    with tqdm(
-        total=len(keys), initial=len(keys) - len(pending), unit="trial", disable=quiet,
+    with cost.progress_bar(
+        total=len(keys), initial=len(keys) - len(pending), unit="trial",
         bar_format="{desc}{percentage:3.0f}% |{bar}| {elapsed} < {remaining}",
     ) as bar:  # fmt: skip
         for first in range(0, len(pending), size):
@@ -122,8 +119,6 @@ class Common:
     spacing: float
     batch: int | None
     device: str
-    as_json: bool
-    force: bool
 
 
 # The first length that is laid is held [m].
@@ -163,7 +158,7 @@ def options(*, speed: float, step: float, spacing: float) -> Callable:
         ),
         click.option("--batch", type=int, help="Trials simulated at once; default: 32, CUDA all."),
         click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto."),
-        click.option("--json", "as_json", is_flag=True, help="Print figures for machines."),
+        json_option,
         cost.force_option,
     ]
 
@@ -176,16 +171,15 @@ def options(*, speed: float, step: float, spacing: float) -> Callable:
 
 
 def settle(
-    trials: int, length: float, out: Path, *, force: bool, quiet: bool, more: float = 0.0,
-    device: str, batch: int | None, **how: float,
-) -> None:  # fmt: skip
+    trials: int, length: float, *, device: str, batch: int | None, more: float = 0.0, **how: float
+) -> None:
     """Say what the deployments that are missing will cost, or refuse it (`cost.settle`).
 
     Args:
         trials: that are missing.
         length: of the longest rod that is laid [m].
-        more: what else takes time on one core [s].
         device, batch: as for `run`.
+        more: what else takes time on one core [s].
         how: they are laid: speed, step, spacing.
     """
     refuse_long_moves(how["speed"], how["step"])
@@ -193,12 +187,12 @@ def settle(
     work = cost.deployments(trials, length, device=device, **how)
     cost.settle(
         replace(work, seconds=work.seconds + more, memory=work.memory * at_once / max(trials, 1)),
-        f"{trials} deployments", out,
-        "ask for fewer trials, or for a larger --spacing or --step", force=force, quiet=quiet,
-    )  # fmt: skip
+        f"{trials} deployments",
+        "ask for fewer trials, or for a larger --spacing or --step",
+    )
 
 
-def figures(
+def say(
     spent: Spent,
     *,
     device: str,
@@ -208,8 +202,8 @@ def figures(
     summary: list[str],
     written: Sequence[Path],
     compiled: float = 0.0,
-) -> dict:
-    """What a campaign's command tells machines.
+) -> None:
+    """Tell what a campaign came to.
 
     Args:
         spent: on the deployments.
@@ -220,9 +214,10 @@ def figures(
         written: files.
         compiled: seconds that compiling kernels for a GPU took.
     """
-    from wrod.machine import machine_line
-
-    return {
+    before = f"plans {planned:.1f} s"
+    if compiled:
+        before = f"compiling {compiled:.1f} s, {before}"
+    figures = {
         "machine": machine_line(device),
         "device": device,
         "trials": trials,
@@ -235,19 +230,4 @@ def figures(
         "summary": summary,
         "written": [str(path) for path in written],
     }
-
-
-def say(told: dict, spent: Spent, as_json: bool) -> None:
-    """Print what `figures` returned, for machines or for people."""
-    from wrod.machine import printed_as_json
-
-    if printed_as_json(told, as_json):
-        return
-    before = f"plans {told['planning_seconds']:.1f} s"
-    if told["compiling_seconds"]:
-        before = f"compiling {told['compiling_seconds']:.1f} s, {before}"
-    click.echo(f"{spent} of {told['nodes']} nodes on {told['device']} ({before})")
-    for line in told["summary"]:
-        click.echo(line)
-    for path in told["written"]:
-        click.echo(f"wrote {path}")
+    tell(figures, f"{spent} of {nodes} nodes on {device} ({before})", *summary)

@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from wrod import cost
 from wrod.bench import campaign
 from wrod.files.ledger import Ledger
 
@@ -43,17 +44,7 @@ _FULL = {
 @click.option("--names", help="Patterns.")
 @click.option("--trials", default=1, show_default=True, help="Disturbed trials a cell.")
 @campaign.options(speed=0.04, step=0.02, spacing=0.01)
-def command(as_json: bool, **given) -> None:
-    """Lay arcs and patterns by every closure and by INT, on tables of all kinds.
-
-    Every method meets the same disturbances: jitter, error in L_gb, natural curvature. Finished
-    trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
-    """
-    told, spent = _compared(quiet=as_json, **given)
-    campaign.say(told, spent, as_json)
-
-
-def _compared(
+def command(
     trials: int,
     out: Path,
     patterns: Path | None,
@@ -63,35 +54,30 @@ def _compared(
     spacing: float,
     batch: int | None,
     device: str,
-    quiet: bool,
-    force: bool,
     **given,
-) -> tuple[dict[str, Any], campaign.Spent]:
-    """What the command tells, and what the trials cost."""
+) -> None:
+    """Lay arcs and patterns by every closure and by INT, on tables of all kinds.
+
+    Every method meets the same disturbances: jitter, error in L_gb, natural curvature. Finished
+    trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
+    """
     from wrod.bench.closures_report import KEYS, METHODS, PUT_DOWN
-    from wrod.errors import RodError
     from wrod.files import row_schemas
     from wrod.rods.device import resolve_device
 
-    if trials < 1:
-        raise RodError(f"trials is {trials}; give 1 or more")
     device = resolve_device(device)
     frictions, curves = _asked_for(patterns, **given)
     nodes = _nodes(curves, spacing)
-    how: dict[str, Any] = {
-        "speed": speed, "step": step, "spacing": spacing, "release": release,
-    }  # fmt: skip
+    how: dict[str, Any] = {"speed": speed, "step": step, "spacing": spacing, "release": release}
     settings = how | {"nodes": nodes, "patterns": "built-in" if patterns is None else patterns.name}
-    out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures", row_schemas.CampaignRow)
     wanted = len(curves) * len(frictions) * (trials * len(METHODS) + 1)
     campaign.settle(
-        max(wanted - len(ledger.done()), 0), max(curve.rod.length for curve in curves), out,
-        force=force, quiet=quiet, device=device, batch=batch, speed=speed, step=step,
-        spacing=spacing,
+        max(wanted - len(ledger.rows), 0), max(curve.rod.length for curve in curves),
+        device=device, batch=batch, speed=speed, step=step, spacing=spacing,
     )  # fmt: skip
     start = time.perf_counter()
-    plans, lacking = _plans(curves, METHODS, device, quiet)
+    plans, lacking = _plans(curves, METHODS, device)
     planned = time.perf_counter() - start
     keys = [
         (curve.rod_name, curve.name, mu, method, trial)
@@ -112,8 +98,8 @@ def _compared(
         progress(1.0)
         return rows
 
-    cost, _ = (
-        campaign.run(ledger, wanted, simulate, device=device, batch=batch, quiet=quiet)
+    spent, _ = (
+        campaign.run(ledger, wanted, simulate, device=device, batch=batch)
         for wanted, simulate in ((keys, lay), (lying, leave))
     )
     head = (
@@ -122,11 +108,10 @@ def _compared(
         f"{release:g} m, patterns {settings['patterns']}."
     )
     words, written = _reported(out, ledger.of(lying + keys), head, lacking)
-    told = campaign.figures(
-        cost, device=device, trials=len(keys), planned=planned, nodes=nodes, summary=words,
-        written=[*written, ledger.path],
+    campaign.say(
+        spent, device=device, trials=len(keys), planned=planned, nodes=nodes, summary=words,
+        written=[*written, out / "trials.jsonl"],
     )  # fmt: skip
-    return told, cost
 
 
 def _asked_for(
@@ -225,17 +210,15 @@ def _nodes(curves: list[Curve], spacing: float) -> int:
     return max(len(mesh(c.rod, c.led.length + c.led.remainder_length, spacing)) for c in curves)
 
 
-def _plans(curves: list[Curve], methods, device: str, quiet: bool) -> tuple[dict, list[str]]:
+def _plans(curves: list[Curve], methods, device: str) -> tuple[dict, list[str]]:
     """(rod, curve, method) -> trajectory and tail; and sentences on what could not be planned."""
-    from tqdm import tqdm
-
     from wrod.deployment.plan import plan
     from wrod.errors import GraspError
     from wrod.planning.tail import tail
 
     plans, lacking = {}, []
     jobs = list(product(curves, methods))
-    for curve, method in tqdm(jobs, desc="plans", leave=False, disable=quiet):
+    for curve, method in cost.progress_bar(jobs, desc="plans"):
         how: dict[str, Any] = {"method": "intuitive"}
         if method != "intuitive":
             how = {"method": "numeric", "closure": method}

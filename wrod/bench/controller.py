@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.telling import json_option, tell
 
 NODES = 200  # of the trajectory that is timed: the paper's rods at 4 mm
 _COLD = (
@@ -22,8 +23,8 @@ _COLD = (
 @click.option("--count", type=click.IntRange(min=1), default=2000, show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--device", default="auto", show_default=True, help="Of the numeric solver.")
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def command(weights: tuple[Path, ...], count: int, seed: int, device: str, as_json: bool) -> None:
+@json_option
+def command(weights: tuple[Path, ...], count: int, seed: int, device: str) -> None:
     """Compare controllers with the numeric solver on the same random inputs.
 
     WEIGHTS are controller files; without any, those that ship. The inputs cover the whole
@@ -31,7 +32,7 @@ def command(weights: tuple[Path, ...], count: int, seed: int, device: str, as_js
     new process with all imports.
     """
     from wrod.controller.controller import SHIPPED, Controller
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
     from wrod.training.score import held_out, score
 
@@ -46,30 +47,22 @@ def command(weights: tuple[Path, ...], count: int, seed: int, device: str, as_js
             len(closures) * count, 0, 4096, sensitivities=False,
             device="cpu" if device == "cpu" else "cuda", ranks=1,
         ),
-        f"{count} grasps of {len(closures)} closures", None, "ask for a smaller --count",
-        quiet=as_json,
+        f"{count} grasps of {len(closures)} closures", "ask for a smaller --count",
     )  # fmt: skip
-    solved = {}
-    rows = []
-    for name, controller in controllers.items():
-        closure = controller.closure
-        if closure not in solved:
-            solved[closure] = held_out(count, seed=seed, device=device, closure=closure)
-        inputs, grasps = solved[closure]
-        cold = [] if shipped else [name]
-        rows.append(
-            {
-                "controller": name,
-                **score(controller, inputs, grasps),
-                **_warm(controller),
-                **_cold(cold),
-            }
-        )
-    if printed_as_json({"machine": machine_line(device), "seed": seed, "rows": rows}, as_json):
-        return
-    click.echo(f"{count} random inputs of the whole range, seed {seed}; lengths in L_gb")
-    for row in rows:
-        click.echo(
+    solved = {c: held_out(count, seed=seed, device=device, closure=c) for c in closures}
+    rows = [
+        {
+            "controller": name,
+            **score(controller, *solved[controller.closure]),
+            **_warm(controller),
+            **_cold([] if shipped else [name]),
+        }
+        for name, controller in controllers.items()
+    ]
+    tell(
+        {"machine": machine_line(device), "seed": seed, "rows": rows},
+        f"{count} random inputs of the whole range, seed {seed}; lengths in L_gb",
+        *(
             f"{row['controller']}:\n"
             f"  six outputs   MAE {row['mean_absolute_error']:.2e}\n"
             f"  position      mean {row['position_error_mean']:.2e}, 99th percentile "
@@ -81,7 +74,9 @@ def command(weights: tuple[Path, ...], count: int, seed: int, device: str, as_js
             f"{1e3 * row['predict_seconds_max']:.2f} ms)\n"
             f"  cold process  {row['cold_seconds']:.2f} s with imports (user and system "
             f"{row['cold_cpu_seconds']:.2f} s)"
-        )
+            for row in rows
+        ),
+    )
 
 
 def _warm(controller) -> dict:

@@ -13,6 +13,7 @@ from wrod import cost
 from wrod.errors import DataError, RodError
 from wrod.files.reading import MAX_JSON, read_text, refuse_depth
 from wrod.files.row_schemas import CosseratRows
+from wrod.telling import asked, json_option
 
 _METRICS = {
     "cantilever": "tip_deflection_error",
@@ -36,8 +37,8 @@ _SOLVERS = ("wrod", "pyelastica", "newton-vbd", "mujoco", "dismech")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a picture of all.")
 @click.option("--with", "others", multiple=True, type=click.Path(exists=True, path_type=Path),
               help="Rows of another run's --json to draw too; may be repeated.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def command(chosen, solvers, elements, out, others, as_json) -> None:
+@json_option
+def command(chosen, solvers, elements, out, others) -> None:
     """Experiments of cosseratbench: error and time, side by side.
 
     Each is scored by cosseratbench's own metrics, in one run on one machine; times are
@@ -48,7 +49,8 @@ def command(chosen, solvers, elements, out, others, as_json) -> None:
     if find_spec("cosseratbench") is None:
         raise DataError("this bench needs cosseratbench; run pip install 'wrod[peers]'")
     runs = len(chosen or _METRICS) * len(solvers or _SOLVERS) * len(elements or (None,))
-    cost.settle(cost.Cost(cost.EXPERIMENT * runs), f"{runs} runs", None, "", quiet=as_json)
+    cost.settle(cost.Cost(cost.EXPERIMENT * runs), f"{runs} runs")
+    as_json = asked("json")
     if not as_json:
         click.echo(machine_line())
         click.echo(f"{'experiment':12s} {'solver':11s} {'n':>4s} {'s':>8s}  outcome")
@@ -101,7 +103,6 @@ def _draw(out: Path, rows: list[dict]) -> None:
     from wrod.bench.cosserat_picture import draw
     from wrod.machine import machine_line
 
-    out.mkdir(parents=True, exist_ok=True)
     draw(out / "peers.png", rows, _METRICS, machine_line())
 
 

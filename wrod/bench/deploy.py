@@ -1,10 +1,12 @@
 """`wrod bench deploy`: what one simulated deployment costs, and how it converges."""
 
 import time
+from collections.abc import Iterator
 
 import click
 
 from wrod import cost
+from wrod.telling import json_option, tell
 
 # What is halved in each study of convergence, and where it begins.
 STUDIES = {
@@ -24,16 +26,16 @@ STUDIES = {
     "--levels", default=3, show_default=True, help="Meshes and steps, each half the last."
 )
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
-    name: str, rod_name: str, friction: float, batch: int, levels: int, device: str, as_json: bool
+    name: str, rod_name: str, friction: float, batch: int, levels: int, device: str
 ) -> None:
     """Time one deployment and a batch on one thread; halve edges, steps, both, and speed."""
     from wrod.bench.campaign import points_of
     from wrod.deployment.plan import plan
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.patterns.named import pattern
     from wrod.planning.tail import tail
     from wrod.rods.catalogue import rod
@@ -42,7 +44,7 @@ def command(
 
     device = resolve_device(device)
     material, curve = rod(rod_name), pattern(name)
-    _settle(material.length, batch, levels, device, as_json)
+    _settle(material.length, batch, levels, device)
     path = plan(curve, material, "numeric", device="cpu")
     curve = with_remainder_of(curve, path)
     rest = tail(curve, material, path)
@@ -86,14 +88,14 @@ def command(
         for row, change in zip(study, changes(laid, study), strict=True):
             row |= change
         rows[f"convergence in {title}"] = study
-    figures = {"machine": machine_line(device), "device": device, "rows": rows}
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(f"{material.length} m of {rod_name} along {name}, friction {friction:g}, {device}")
-    _say(rows)
+    tell(
+        {"machine": machine_line(device), "device": device, "rows": rows},
+        f"{material.length} m of {rod_name} along {name}, friction {friction:g}, {device}",
+        *_lines(rows),
+    )
 
 
-def _settle(length: float, batch: int, levels: int, device: str, quiet: bool) -> None:
+def _settle(length: float, batch: int, levels: int, device: str) -> None:
     """Say what the batch and the studies cost: each level's rods have edges or steps of half the
     size, or half the speed."""
     usual = {"spacing": 0.005, "step": 0.01, "speed": 0.02}
@@ -103,26 +105,24 @@ def _settle(length: float, batch: int, levels: int, device: str, quiet: bool) ->
             how = usual | {what: value / 2**level for what, value in first.items()}
             one = cost.deployments(1, length, device=device, **how)
             work = cost.Cost(work.seconds + one.seconds, max(work.memory, one.memory))
-    what, remedy = f"a batch of {batch} and {levels} levels", "ask for fewer --levels"
-    cost.settle(work, what, None, remedy, quiet=quiet)
+    cost.settle(work, f"a batch of {batch} and {levels} levels", "ask for fewer --levels")
 
 
-def _say(rows: dict[str, list[dict]]) -> None:
-    """Print the figures for people."""
+def _lines(rows: dict[str, list[dict]]) -> Iterator[str]:
     for row in rows["speed"]:
-        click.echo(
+        yield (
             f"{row['rods']} rods of {row['nodes']} nodes: {row['seconds']:.2f} s "
             f"(cpu {row['cpu_seconds']:.2f} s), {row['steps']} rod steps, "
             f"{row['rod_steps_per_second']:.0f} per second"
         )
     for title, study in list(rows.items())[1:]:
         whats = list(STUDIES[title.removeprefix("convergence in ")])
-        click.echo(
+        yield (
             f"{title}: largest change of the laid curve and change of the error, from the line "
             "before, and their orders"
         )
         for row in study:
-            click.echo(
+            yield (
                 "  " + ", ".join(f"{what} {row[what]:<8g}" for what in whats)
                 + f" error {row['error_mean']:.4f} cm"
                 + _told(row, "change_cm", "order") + _told(row, "error_change_cm", "error_order")

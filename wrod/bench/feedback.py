@@ -1,6 +1,5 @@
 """`wrod bench feedback`: what looking at the laid rod saves where the rod is not as believed."""
 
-import json
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -11,6 +10,7 @@ import click
 import numpy as np
 
 from wrod import cost
+from wrod.telling import json_option, tell
 
 # Row by row, what the true rod differs by though nobody declared it.
 EFFECTS = {
@@ -64,11 +64,11 @@ _FIRST_SEED = 9_000
               help="Processes.")  # fmt: skip
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 @cost.force_option
 def command(
     rods: str, names: str, effects: str, ways: str, seeds: int, out: Path, workers: int,
-    device: str, as_json: bool, force: bool, **how,
+    device: str, **how,
 ) -> None:  # fmt: skip
     """Lay patterns with rods and tables that differ from the plan's, blindly and looking on.
 
@@ -78,59 +78,52 @@ def command(
     more than 1.5 times the error of trials without it.
     """
     from wrod.bench import courses
-    from wrod.bench.slippery import Shelf
-    from wrod.errors import RodError
+    from wrod.bench.slippery import Shelf, some
     from wrod.files import row_schemas
     from wrod.files.ledger import Ledger
     from wrod.rods.batch import resolve_device
 
-    chosen, asked = effects.split(","), ways.split(",")
-    for what, given, known in (("effect", chosen, EFFECTS), ("way", asked, WAYS)):
-        if unknown := [one for one in given if one not in known]:
-            raise RodError(f"unknown {what} {unknown[0]!r}; use some of {', '.join(known)}")
+    chosen, asked = some(effects, "effect", tuple(EFFECTS)), some(ways, "way", tuple(WAYS))
     device = resolve_device(device)
     shelf = Shelf(out / "plans", how.pop("patterns"), device)
     places = list(product(rods.split(","), names.split(",")))
     for place in places:
         shelf.course(*place)  # refused before anything is written
-    out.mkdir(parents=True, exist_ok=True)
     patterns = "built-in" if shelf.patterns is None else shelf.patterns.name
     settings = how | {"patterns": patterns}
     ledger = Ledger(out / "feedback.jsonl", settings, KEYS, "feedback", row_schemas.FeedbackRow)
-    done = ledger.done()
     keys = [
         (*place, effect, way, seed)
         for seed, way, effect, place in product(range(seeds), asked, chosen, places)
     ]
-    jobs = [(shelf, key, how) for key in keys if key not in done]
+    jobs = [(shelf, key, how) for key in ledger.lacking(keys)]
     unplanned = sorted({job[1][:2] for job in jobs})
     looking = sum(key[3] != "blind" for _, key, _ in jobs)
     seconds = cost.CORRECTED_PLAN * len(unplanned) + cost.LOOKING_ON * looking
     cost.settle(
-        cost.Cost(seconds / workers), f"{len(jobs)} deployments", out,
-        "ask for fewer --seeds, --names or --effects", force=force, quiet=as_json,
+        cost.Cost(seconds / workers), f"{len(jobs)} deployments",
+        "ask for fewer --seeds, --names or --effects",
     )  # fmt: skip
     shelf.stock([(*place, how["friction"], "optimised") for place in unplanned], workers)
     courses.run(_course, jobs, lambda _, row: ledger.add([row]), device=device, workers=workers)
     rows = ledger.of(keys)
     table = summary(rows)
-    if as_json:
-        told = {"rows": rows, "table": table, "written": [str(ledger.path)]}
-        click.echo(json.dumps(told, indent=2))
-        return
     trials = len(places) * seeds
-    click.echo(f"friction {how['friction']:g} believed; mean of {trials} trials, e_mean [cm]")
-    click.echo("in brackets: over the same way's and over the blind trials without an effect")
-    for line in table:
-        click.echo(f"{EFFECTS[line['effect']]}: " + ", ".join(
-            f"{way} {one['error_mean']:.3f}" + _ratios(one) for way, one in line["ways"].items()
-        ))  # fmt: skip
-    click.echo(f"wrote {ledger.path}")
+    tell(
+        {"rows": rows, "table": table, "written": [str(ledger.path)]},
+        f"friction {how['friction']:g} believed; mean of {trials} trials, e_mean [cm]",
+        "in brackets: over the same way's and over the blind trials without an effect",
+        *(
+            f"{EFFECTS[line['effect']]}: " + ", ".join(map(_told, line["ways"].items()))
+            for line in table
+        ),
+    )
 
 
-def _ratios(one: dict) -> str:
+def _told(column: tuple[str, dict]) -> str:
+    way, one = column
     said = ["-" if one[k] is None else f"{one[k]:.2f}" for k in ("over_same", "over_blind")]
-    return f" ({', '.join(said)})"
+    return f"{way} {one['error_mean']:.3f} ({', '.join(said)})"
 
 
 def summary(rows: list[dict]) -> list[dict]:

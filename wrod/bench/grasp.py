@@ -1,7 +1,7 @@
 """`wrod bench grasp`: cold grasps per second over the whole range, and how cost grows."""
 
-import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ import click
 
 from wrod import cost
 from wrod.arguments import refuse_idle_options
+from wrod.telling import asked, json_option, tell
 
 
 @click.command(name="grasp")
@@ -40,7 +41,7 @@ from wrod.arguments import refuse_idle_options
     help="--against: this closure; may be given several times. Default: all.",
 )
 @cost.force_option
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+@json_option
 def command(
     count: int,
     device: str,
@@ -49,30 +50,27 @@ def command(
     counts: str | None,
     patience: float,
     closures: tuple[str, ...],
-    as_json: bool,
-    force: bool,
 ) -> None:
     """Cold starts over l_s 1..50, |kappa| 0..3.5, k_s 150..15000."""
     import warp as wp
 
     from wrod.grasps.inputs import CLOSURES, whole_range
     from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
     if against is not None:
         refuse_idle_options("--against", "count", "threads", "force")
         counts = counts or ("256,1024" if device == "cpu" else "4096,65536,1048576")
-        _compare(against, counts, closures or tuple(CLOSURES), device, patience, as_json)
+        _compare(against, counts, closures or tuple(CLOSURES), device, patience)
         return
     refuse_idle_options("a measurement without --against", "counts", "closure", "patience")
 
     on_gpu = device != "cpu"
     # 3.75 times as many grasps, some of them of closures that take twice as long, with shapes.
     work = cost.grasps(5 * count, 0, count // 10, sensitivities=False, device=device, ranks=1)
-    what, remedy = f"{3.75 * count:.0f} grasps", "give a smaller --count"
-    cost.settle(work, what, None, remedy, force=force, quiet=as_json)
+    cost.settle(work, f"{3.75 * count:.0f} grasps", "give a smaller --count")
 
     def measure(n: int, **options) -> dict:
         inputs = whole_range(n)
@@ -105,33 +103,30 @@ def command(
         figures["gpu"] = gpu_work(whole_range(count), device)
     else:
         figures["cpu"] = cpu_work(rows[2])
-    if printed_as_json(figures, as_json):
-        return
-    _say(figures, threads)
+    tell(figures, *_lines(figures, threads))
 
 
-def _say(figures: dict, threads: int) -> None:
-    """Print the figures for people."""
-    click.echo(f"device {figures['device']}, {threads} thread(s); cold starts over the whole range")
-    click.echo(
+def _lines(figures: dict, threads: int) -> Iterator[str]:
+    yield f"device {figures['device']}, {threads} thread(s); cold starts over the whole range"
+    yield (
         f"{'grasps':>8} {'edges':>6} {'closure':>13} {'per s':>9} {'cpu ms':>8} "
         f"{'converged':>10} {'iterations':>10}"
     )
     for row in figures["rows"]:
-        click.echo(
+        yield (
             f"{row['grasps']:8d} {row['edges']:6d} {row['closure']:>13} {row['per_second']:9.1f} "
             f"{1e3 * row['cpu_seconds_per_grasp']:8.3f} {row['converged']:10.4f} "
             f"{row['iterations']:10.1f}"
         )
     if "cpu" in figures:
-        click.echo(
+        yield (
             "by count of operations {gflops:.1f} GFLOP/s of float64, where a core multiplies "
             "matrices with {peak_gflops:.0f}, and {gbytes:.1f} GB/s to and from scratch memory, "
             "where it copies {peak_gbytes:.0f}; {flops_per_byte:.1f} operations a byte: it would "
             "be limited to {bound:.0f} grasps/s a core by {limit}".format(**figures["cpu"])
         )
     if "gpu" in figures:
-        click.echo(
+        yield (
             "one call of {grasps} grasps: {wall:.1f} ms, the GPU works {gpu:.1f} ms of them "
             "({busy:.0%}); {launches} launches, {copies} copies between host and GPU\n"
             "by count of operations {gflops:.0f} GFLOP/s of float64 and {gbytes:.0f} GB/s to and "
@@ -142,20 +137,16 @@ def _say(figures: dict, threads: int) -> None:
 
 
 def _compare(
-    other: Path, counts: str, closures: tuple[str, ...], device: str, patience: float, as_json: bool
+    other: Path, counts: str, closures: tuple[str, ...], device: str, patience: float
 ) -> None:
+    from wrod.arguments import parse_list
     from wrod.bench.grasp_against import compare, head, line
     from wrod.machine import machine_line
 
-    try:
-        numbers = [int(word) for word in counts.split(",")]
-    except ValueError:
-        numbers = []
-    if not numbers or min(numbers) < 1:
-        raise click.BadParameter(f"{counts!r} is no list of counts; give e.g. 4096,65536")
+    numbers = [int(n) for n in parse_list(counts, "--counts", 1, 2**30, whole=True)]
     measured = compare(other, numbers, closures, device, patience)
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(device), "rows": list(measured)}))
+    if asked("json"):
+        tell({"machine": machine_line(device), "rows": list(measured)})
         return
     click.echo(machine_line(device))
     click.echo(head())

@@ -9,6 +9,7 @@ import numpy as np
 
 from wrod import cost
 from wrod.arguments import refuse_idle_options
+from wrod.telling import json_option, tell
 
 CABLES = ("black-short", "orange-long")
 LOADS = ("unweighted", "weighted")
@@ -30,8 +31,8 @@ _EIGHTY = 1.2816
 @click.option("--folds", default=4, show_default=True, help="Folds of angles left out.")
 @click.option("--quick", is_flag=True, help="One cable, no folds, no predictions.")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json: bool) -> None:
+@json_option
+def command(data: Path, out: Path, folds: int, quick: bool, device: str) -> None:
     """Explain where cables hang at each angle of the hand; predict other angles, other lengths.
     Thin cables hung as loops follow: their stiffness, an arm's poses, the twist at which they
     buckle. And the thick cables' swings: by the statics' model, then with internal damping.
@@ -43,15 +44,14 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     from wrod.bench import hands_loops, hands_swings
     from wrod.files import write_json
     from wrod.identification.held.measurements import load_held
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     if quick:
         refuse_idle_options("--quick", "folds")
     device = resolve_device(device)
     seconds = cost.HAND if quick else 2 * cost.HAND + cost.FOLD * folds + cost.LOOPS
-    cost.settle(cost.Cost(seconds), "all fits", out, "ask for fewer --folds", quiet=as_json)
-    out.mkdir(parents=True, exist_ok=True)
+    cost.settle(cost.Cost(seconds), "all fits", "ask for fewer --folds")
     held = {
         cable: [load_held(data / "swing" / f"{cable}-{load}-static.npz") for load in LOADS]
         for cable in CABLES[: 1 if quick else None]
@@ -82,14 +82,10 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
         written.append(out / "hands-prediction.json")
         write_json(written[-1], predictions)
     write_json(written[0], figures)
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(_table(figures["cables"]))
-    click.echo(hands_swings.table(figures["swings"]))
+    lines = [_table(figures["cables"]), hands_swings.table(figures["swings"])]
     if "loops" in figures:
-        click.echo(hands_loops.table(figures["loops"], predictions["loops"]))
-    for path in written:
-        click.echo(f"wrote {path}")
+        lines.append(hands_loops.table(figures["loops"], predictions["loops"]))
+    tell(figures, *lines, *(f"wrote {path}" for path in written))
 
 
 _STAGES = ((), ("curvature",), ("curvature", "lag"), ("curvature", "lag", "tilt"))

@@ -3,8 +3,6 @@
 import math
 from collections.abc import Sequence
 
-from wrod import side_by_side
-
 # A direction is right within the same 5 %, of a radian.
 WITHIN = 0.05
 # Parameters of built effects that say where they are [m].
@@ -131,20 +129,6 @@ def located(row: dict) -> tuple[float, float]:
             else:
                 sizes.append(math.hypot(*away) / math.hypot(*values))
     return max(places), max(sizes)
-
-
-def examine_all(
-    jobs: Sequence[tuple[str, int, str]],
-    workers: int,
-    device: str,
-    seconds: float | None,
-    done,
-    progress,
-) -> None:
-    """Examine every (case, seed, noise) in processes side by side; `done` gets each row."""
-    for _, row in side_by_side.run(examine, [(*job, device, seconds) for job in jobs], workers):
-        done(row)
-        progress()
 
 
 def lines(rows: Sequence[dict]) -> list[str]:

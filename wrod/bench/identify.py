@@ -1,12 +1,16 @@
 """`wrod bench identify`: verdicts, parameters, errors and times on sets of measurements."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import click
 
-from wrod import cost
+from wrod import cost, side_by_side
+from wrod.files import row_schemas
+from wrod.files.ledger import Ledger
+from wrod.machine import machine_line
+from wrod.telling import json_option, tell
 
 
 @click.command(name="identify")
@@ -44,7 +48,7 @@ from wrod import cost
 )
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @cost.force_option
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+@json_option
 def command(
     folder: Path | None,
     seeds: tuple[int, ...],
@@ -54,8 +58,6 @@ def command(
     workers: int,
     minutes: float | None,
     device: str,
-    as_json: bool,
-    force: bool,
 ) -> None:
     """Identify many sets: those of a folder, or rods made here whose effects are known.
 
@@ -64,31 +66,26 @@ def command(
     solver that identifies, makes a set for each effect, for pairs, for none and for effects that
     no plug-in covers; with --out, OUT/rows.jsonl keeps what is finished and a stopped run goes on.
     """
-    from wrod.errors import DataError
     from wrod.rods.device import resolve_device
 
     if (folder is None) == (not seeds):
         raise click.UsageError("give either --sets FOLDER or --hidden SEED")
-    if workers < 1:
-        raise DataError(f"workers is {workers}; give 1 or more")
     device = resolve_device(device)
     seconds = None if minutes is None else 60.0 * minutes
     if seeds:
-        _hidden(seeds, noises or ("white",), only, out, workers, seconds, device, as_json, force)
+        _hidden(seeds, noises or ("white",), only, out, workers, seconds, device)
     else:
         if noises or only or out is not None or workers > 1:
             said = "--noise, --only, --out and --workers are of --hidden; drop them beside --sets"
             raise click.UsageError(said)
-        _measured(folder, seconds, device, as_json)
+        _measured(folder, seconds, device)
 
 
-def _hidden(seeds, noises, only, out, workers, limit, device, as_json, force) -> None:
+def _hidden(seeds, noises, only, out, workers, limit, device) -> None:
     from wrod.bench.hidden_noise import NOISES
     from wrod.bench.hidden_sets import cases
-    from wrod.bench.hidden_table import examine_all, lines, summary
+    from wrod.bench.hidden_table import examine, lines, summary
     from wrod.errors import DataError
-    from wrod.files.ledger import Ledger
-    from wrod.machine import machine_line, printed_as_json
 
     names = list(dict.fromkeys(n for text in only or ("",) for n in _called(text, cases())))
     if not names:
@@ -97,41 +94,29 @@ def _hidden(seeds, noises, only, out, workers, limit, device, as_json, force) ->
         )
     if unknown := set(noises) - set(NOISES):
         raise DataError(f"no noise is called {', '.join(unknown)}; there are {', '.join(NOISES)}")
-    rows: list[dict] = []
-    keep, have = rows.append, {}
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        from wrod.files import row_schemas
-
-        keys = ("set", "seed", "noise")
-        ledger = Ledger(out / "rows.jsonl", {}, keys, "identification", row_schemas.HiddenRow)
-        have = {ledger.key(r): r for r in ledger.rows}
-
-        def keep(row):
-            ledger.add([row])
-            rows.append(row)
-
+    kept, keys = None if out is None else out / "rows.jsonl", ("set", "seed", "noise")
+    ledger = Ledger(kept, {}, keys, "identification", row_schemas.HiddenRow)
     wanted = [(name, seed, noise) for noise in noises for name in names for seed in seeds]
-    rows += [have[key] for key in wanted if key in have]
-    pending = [key for key in wanted if key not in have]
+    pending = ledger.lacking(wanted)
     start = time.perf_counter()
     cost.settle(
         cost.Cost(len(pending) * cost.IDENTIFIED_SET / workers, 5e8 * workers, 1e4 * len(pending)),
-        f"{len(pending)} sets in {workers} processes", out,
-        "ask for fewer with --only or --hidden", force=force, quiet=as_json,
-    )  # fmt: skip
-    with cost.progress_bar(total=len(wanted), initial=len(rows), unit="set", quiet=as_json) as bar:
-        examine_all(pending, min(workers, max(len(pending), 1)), device, limit, keep, bar.update)
-    rows.sort(key=lambda r: wanted.index((r["set"], r["seed"], r["noise"])))
-    seconds = time.perf_counter() - start
-    if printed_as_json(
-        {"machine": machine_line(device), "seconds": seconds, "rows": rows}, as_json
-    ):
-        return
-    click.echo("\n".join(lines(rows) + [""] + summary(rows)))
-    click.echo(f"{len(pending)} sets in {seconds:.0f} s with {workers} processes")
-    if out is not None:
-        click.echo(f"wrote {out / 'rows.jsonl'}")
+        f"{len(pending)} sets in {workers} processes",
+        "ask for fewer with --only or --hidden",
+    )
+    done, jobs = len(wanted) - len(pending), [(*key, device, limit) for key in pending]
+    ended = side_by_side.run(examine, jobs, min(workers, max(len(pending), 1)))
+    for _, row in cost.progress_bar(ended, total=len(wanted), initial=done, unit="set"):
+        ledger.add([row])
+    rows, seconds = ledger.of(wanted), time.perf_counter() - start
+    tell(
+        {"machine": machine_line(device), "seconds": seconds, "rows": rows},
+        *lines(rows),
+        "",
+        *summary(rows),
+        f"{len(pending)} sets in {seconds:.0f} s with {workers} processes",
+        *[f"wrote {kept}"] * (kept is not None),
+    )
 
 
 def _called(text: str, names: Iterable[str]) -> list[str]:
@@ -139,12 +124,11 @@ def _called(text: str, names: Iterable[str]) -> list[str]:
     return [n for n in names if n == text] or [n for n in names if text in n]
 
 
-def _measured(folder: Path, limit: float | None, device: str, as_json: bool) -> None:
+def _measured(folder: Path, limit: float | None, device: str) -> None:
     from wrod.bench.identify_row import row
     from wrod.errors import DataError
     from wrod.identification.entry import identification_cost
     from wrod.identification.motion.loading import is_motion
-    from wrod.machine import machine_line, printed_as_json
 
     paths = sorted(folder.glob("*.npz"))
     if not paths:
@@ -152,30 +136,31 @@ def _measured(folder: Path, limit: float | None, device: str, as_json: bool) -> 
     seconds = sum(identification_cost(path).seconds for path in paths)  # reads them, too
     for path in filter(is_motion, paths):
         raise DataError(f"{path}: holds recordings of motion; use `wrod bench cables` for those")
-    cost.settle(cost.Cost(seconds), f"{len(paths)} sets", None, "give fewer", quiet=as_json)
+    cost.settle(cost.Cost(seconds), f"{len(paths)} sets", "give fewer")
     rows = []
-    with cost.progress_bar(paths, unit="set", quiet=as_json) as bar:
+    with cost.progress_bar(paths, unit="set") as bar:
         for path in bar:
             bar.set_description(path.stem)
             rows.append(row(path, device, limit))
-    if printed_as_json({"machine": machine_line(device), "device": device, "rows": rows}, as_json):
-        return
-    click.echo(
+    tell(
+        {"machine": machine_line(device), "device": device, "rows": rows},
         f"{'set':28} {'verdict':17} {'before':>7} {'after':>7} {'/floor':>7} {'wall s':>7} "
-        f"{'cpu s':>7}"
+        f"{'cpu s':>7}",
+        *(line for entry in rows for line in _lines(entry)),
     )
-    for entry in rows:
-        ratio = entry["after_mm"] / entry["noise_floor_mm"]
-        click.echo(
-            f"{entry['set']:28} {entry['verdict']:17} {entry['before_mm']:7.2f} "
-            f"{entry['after_mm']:7.2f} {ratio:7.3f} {entry['seconds']:7.1f} "
-            f"{entry['cpu_seconds']:7.1f}"
-        )
-        for effect in entry["effects"]:
-            found = ", ".join(
-                f"{key} {e['value']:.4g} ± {e['stderr']:.2g} {e['unit']}".rstrip()
-                for key, e in effect["parameters"].items()
-            )
-            click.echo(f"    {effect['name']}: {found}")
-        for pair in entry["confounded"]:
-            click.echo(f"    {' and '.join(pair['effects'])}: {pair['evidence']}")
+
+
+def _lines(entry: dict) -> Iterator[str]:
+    from wrod.identification.effect import Estimate
+
+    ratio = entry["after_mm"] / entry["noise_floor_mm"]
+    yield (
+        f"{entry['set']:28} {entry['verdict']:17} {entry['before_mm']:7.2f} "
+        f"{entry['after_mm']:7.2f} {ratio:7.3f} {entry['seconds']:7.1f} "
+        f"{entry['cpu_seconds']:7.1f}"
+    )
+    for effect in entry["effects"]:
+        found = ", ".join(f"{key} {Estimate(**e)}" for key, e in effect["parameters"].items())
+        yield f"    {effect['name']}: {found}"
+    for pair in entry["confounded"]:
+        yield f"    {' and '.join(pair['effects'])}: {pair['evidence']}"

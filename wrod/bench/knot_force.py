@@ -1,10 +1,12 @@
 """`wrod bench knot-force`: the force to pull an overhand knot tight, against theory."""
 
 import time
+from collections.abc import Iterator
 
 import click
 
 from wrod import cost
+from wrod.telling import json_option, tell
 
 
 @click.command(name="knot-force")
@@ -16,19 +18,16 @@ from wrod import cost
 @click.option(
     "--out", default=None, type=click.Path(dir_okay=False), help="Write a picture to this PNG file."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(
-    frictions: str, loosest: float, tightest: float, out: str | None, as_json: bool
-) -> None:
+@json_option
+def command(frictions: str, loosest: float, tightest: float, out: str | None) -> None:
     """Pull overhand knots with different friction tight, and compare tension and contact force
     with the law of Audoly et al. 2007 and Jawed et al. 2015 for thin rods."""
     import numpy as np
-    from tqdm import tqdm
 
     from wrod.arguments import parse_list
     from wrod.bench.overhand import knot_force, pull, solve_braid
     from wrod.errors import RodError
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
 
     friction = parse_list(frictions, "--friction", 0.0, 100.0)
     if not (5 <= tightest < loosest and loosest >= 20):
@@ -37,10 +36,10 @@ def command(
             "knot's strands to start apart, and the tightest below it, 5 h or more"
         )
     work = cost.Cost(cost.KNOT_STEP * len(friction) * (loosest - tightest))
-    cost.settle(work, f"{len(friction)} knots", None, "ask for a smaller --loosest", quiet=as_json)
+    cost.settle(work, f"{len(friction)} knots", "ask for a smaller --loosest")
     contact, energy = solve_braid()
     clock, cpu = time.perf_counter(), time.process_time()
-    with tqdm(total=100, unit="%", leave=False) as bar:
+    with cost.progress_bar(total=100, unit="%") as bar:
         knots = pull(
             friction,
             loosest=loosest,
@@ -77,22 +76,18 @@ def command(
     if out:
         draw(out, friction, knots, contact, energy)
         figures["picture"] = out
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(
+    tell(
+        figures,
         f"{len(friction)} overhand knots of {figures['nodes']} nodes, loop radius {loosest:g} to "
         f"{tightest:g} h: {wall:.0f} s (cpu {cpu:.0f} s); contact force of the braid {contact:.3f} "
-        "(Clauvelin et al. 2009: 0.492)"
+        "(Clauvelin et al. 2009: 0.492)",
+        *(line for row in rows for line in _told(row, contact)),
+        *[f"wrote {out}"] * bool(out),
     )
-    for row in rows:
-        _say(row, contact)
-    if out:
-        click.echo(f"wrote {out}")
 
 
-def _say(row: dict, contact: float) -> None:
-    """Print one knot's figures for people."""
-    click.echo(
+def _told(row: dict, contact: float) -> Iterator[str]:
+    yield (
         f"mu = {row['friction']:g}: deepest penetration {row['penetration']:.3f} h, "
         f"{row['iterations']} iterations\n"
         "  R/h      T h^2/B    over law  over next order  contact force over c"
@@ -100,7 +95,7 @@ def _say(row: dict, contact: float) -> None:
     names = ("radius", "tension", "law", "law_next_order", "contact_force")
     table = zip(*(row[name] for name in names), strict=True)
     for radius, tension, expected, better, normal in table:
-        click.echo(
+        yield (
             f"  {radius:<8.2f} {tension:<10.3g} {tension / expected:<9.2f} "
             f"{tension / better:<16.2f} {normal * radius**1.5 / contact:.2f}"
         )

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from wrod.bench.loop_trials import CONTROLLERS, EFFECTS
-from wrod.machine import printed_as_json
+from wrod.telling import json_option, tell
 
 
 @click.command(name="loop")
@@ -65,8 +65,8 @@ from wrod.machine import printed_as_json
 @click.option("--spacing", default=0.006, show_default=True, help="Length of the edges [m].")
 @click.option("--seed", default=0, show_default=True, help="Of poses and noise.")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(as_json: bool, **given) -> None:
+@json_option
+def command(**given) -> None:
     """Close the loop on a rod that has an effect nobody declared.
 
     For each effect: synthetic measurements of the true rod between two clamps (a continuous rod by
@@ -80,11 +80,7 @@ def command(as_json: bool, **given) -> None:
     from wrod.bench.loop_report import markdown
     from wrod.bench.loop_run import Loop, run
 
-    loop = Loop(quiet=as_json, **given)
+    loop = Loop(**given)
     figures = run(loop)
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(markdown(figures["rows"], figures["found"], loop.head))
-    click.echo(", ".join(f"{name} {value:.0f} s" for name, value in figures["seconds"].items()))
-    for path in figures["written"]:
-        click.echo(f"wrote {path}")
+    spent = ", ".join(f"{name} {value:.0f} s" for name, value in figures["seconds"].items())
+    tell(figures, markdown(figures["rows"], figures["found"], loop.head), spent)

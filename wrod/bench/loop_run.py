@@ -67,7 +67,6 @@ class Loop:
     spacing: float
     seed: int
     device: str
-    quiet: bool = False
     seconds: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -101,15 +100,8 @@ class Loop:
         self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - clock
 
     def bar(self, what: str):
-        """A bar of 100 per cent; `progress_of` feeds it."""
-        from tqdm import tqdm
-
-        return tqdm(total=100, leave=False, desc=what, disable=self.quiet, bar_format=_BAR)
-
-    def along(self, many, what: str):
-        from tqdm import tqdm
-
-        return tqdm(many, desc=what, leave=False, disable=self.quiet)
+        """A bar of 100 per cent."""
+        return cost.progress_bar(total=100, desc=what, bar_format=_BAR)
 
 
 def _refuse_idle(loop: Loop) -> None:
@@ -175,7 +167,7 @@ def _settle(loop: Loop, curves: dict) -> None:
     what = f"{cases} identified, {count} deployments"
     remedy = "ask for fewer effects, patterns or --grasps, or a larger --spacing or --step"
     work = replace(work, seconds=work.seconds + known.seconds + learning)
-    cost.settle(work, what, loop.out, remedy, quiet=loop.quiet)
+    cost.settle(work, what, remedy)
 
 
 def _learning(loop: Loop) -> float:
@@ -204,7 +196,7 @@ def _hidden(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
         "varied": varied_rod(believed),
     }
     cases, written = {}, []
-    for effect in loop.along(loop.effects or EFFECTS, "identify"):
+    for effect in cost.progress_bar(loop.effects or EFFECTS, desc="identify"):
         with loop.timed("identification"):
             data = clamped_experiment(
                 true[effect], believed, trials=loop.trials, noise=loop.noise, seed=loop.seed
@@ -261,7 +253,7 @@ def _laid(loop: Loop, cases: dict[str, Case], curves: dict) -> list[dict]:
         rods = [rod for case in cases.values() for rod in (case.true, case.believed)]
         hold = _HELD * max(rod.gravito_bending_length for rod in rods)
     with loop.timed("plans"):
-        for name, curve in loop.along(curves.items(), "plans"):
+        for name, curve in cost.progress_bar(curves.items(), desc="plans"):
             jobs |= trials_along(name, curve, cases, loop.controllers, law, hold, loop.known_table)
     with loop.timed("deployments"), loop.bar("laid") as bar:
         laid = simulate_deployments(

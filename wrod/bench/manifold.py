@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.telling import json_option, tell
 
 
 def held_inputs(count: int, seed: int = 0):
@@ -28,23 +29,20 @@ def held_inputs(count: int, seed: int = 0):
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--threads", default=0, show_default=True, help="CPU threads; 0: one per core.")
 @cost.force_option
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def command(
-    count: int, lengths: int, device: str, threads: int, as_json: bool, force: bool
-) -> None:
+@json_option
+def command(count: int, lengths: int, device: str, threads: int) -> None:
     """Equilibria for given grips, the manifold's boundary, and what stability adds to a plan."""
     import numpy as np
 
     from wrod.grasps.manifold.boundary import DIPS, EMPTY, FOLDS, TOUCHES, boundary
     from wrod.grasps.manifold.grips import equilibrium
     from wrod.grasps.optimal import solve_grasps
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
     work = cost.manifold(count, lengths, device=device)
-    what, remedy = f"{count} grips and {lengths} boundaries", "give smaller numbers"
-    cost.settle(work, what, None, remedy, force=force, quiet=as_json)
+    cost.settle(work, f"{count} grips and {lengths} boundaries", "give smaller numbers")
     options: dict[str, Any] = {"device": device, "threads": threads or None}
 
     def clocked(work):
@@ -93,28 +91,15 @@ def command(
         "solving_cpu_seconds": solving,
         "stability_cpu_seconds": both - solving,
     }
-    if printed_as_json(figures, as_json):
-        return
-    _say(figures)
-
-
-def _say(figures: dict[str, Any]) -> None:
-    """Print the figures for people."""
-    click.echo(
-        f"{figures['equilibria']} held grips on {figures['device']}: "
-        f"{figures['equilibria_per_second']:.1f} per s, "
-        f"{figures['equilibria_cpu_ms']:.2f} CPU ms each, {figures['iterations']:.1f} iterations, "
-        f"{figures['converged']:.1%} converged, {figures['admissible']:.1%} admissible"
-    )
     counts = ", ".join(f"{n} {name}" for name, n in figures["boundary_ends"].items())
-    click.echo(
-        f"boundary for {figures['boundary_lengths']} suspended lengths, "
-        f"{figures['boundary_rays']} rays each: "
+    tell(
+        figures,
+        f"{count} held grips on {device}: {figures['equilibria_per_second']:.1f} per s, "
+        f"{figures['equilibria_cpu_ms']:.2f} CPU ms each, {figures['iterations']:.1f} iterations, "
+        f"{figures['converged']:.1%} converged, {figures['admissible']:.1%} admissible",
+        f"boundary for {lengths} suspended lengths, {figures['boundary_rays']} rays each: "
         f"{figures['boundary_seconds']:.1f} s ({figures['boundary_cpu_seconds']:.1f} CPU s); "
-        f"low ends: {counts}"
-    )
-    click.echo(
+        f"low ends: {counts}",
         f"200 grasps of a trajectory: solving {figures['solving_cpu_seconds']:.3f} CPU s, "
-        "their stability "
-        f"{figures['stability_cpu_seconds']:.3f} CPU s"
+        f"their stability {figures['stability_cpu_seconds']:.3f} CPU s",
     )

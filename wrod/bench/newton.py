@@ -7,6 +7,7 @@ import click
 
 from wrod import cost
 from wrod.arguments import parse_list, refuse_idle_options
+from wrod.telling import asked, json_option
 
 # Steps of the implicit solvers over the period.
 _DER_STEP, _VBD_STEP = 1.0 / 80.0, 1.0 / 400.0
@@ -43,8 +44,8 @@ def _numbers(context, parameter, value: str) -> list[int]:
 @click.option("--worlds", default=1024, show_default=True, help="Worlds of --many.")
 @click.option("--cables", default=40, show_default=True, help="Cables of the pile of --many.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for table and picture.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(bodies: bool, many: bool, worlds: int, cables: int, as_json: bool, **given) -> None:
+@json_option
+def command(bodies: bool, many: bool, worlds: int, cables: int, **given) -> None:
     """Compare a heavy cantilever at rest and swinging with the continuum, and time it.
 
     SolverDER, Newton's cable (SolverVBD) and, where it is installed, PyElastica, in one run.
@@ -63,12 +64,12 @@ def command(bodies: bool, many: bool, worlds: int, cables: int, as_json: bool, *
     if not many:
         refuse_idle_options("no --many", "worlds", "cables")
     if bodies:
-        _measure_bodies(as_json)
+        _measure_bodies()
         return
     if many:
         _measure_many(given["device"], worlds, cables, given["edges"][-1])
         return
-    _measure_cantilever(as_json=as_json, **given)
+    _measure_cantilever(**given)
 
 
 def _measure_cantilever(
@@ -81,7 +82,6 @@ def _measure_cantilever(
     periods: float,
     device: str,
     out: Path | None,
-    as_json: bool,
 ) -> None:
     import importlib.util
     from importlib.metadata import version
@@ -105,7 +105,7 @@ def _measure_cantilever(
     if not with_elastica:
         click.echo("PyElastica is not installed; for its rows: pip install wrod[peers]", err=True)
 
-    _settle(edges, iterations, rods, periods, as_json)
+    _settle(edges, iterations, rods, periods)
     rows, speed = _compare(problem, edges, iterations, rods, duration, device, with_elastica)
     versions = f"newton {version('newton')}"
     if with_elastica:
@@ -121,24 +121,23 @@ def _measure_cantilever(
         "speed": speed,
     }  # fmt: skip
     text = markdown(figures)
-    click.echo(json.dumps(figures) if as_json else text)
+    click.echo(json.dumps(figures) if asked("json") else text)
     if out is not None:
         from wrod.files import write_text
 
-        out.mkdir(parents=True, exist_ok=True)
         write_text(out / "newton.md", text + "\n")
         for path in (out / "newton.md", draw(out / "newton.png", figures)):
-            click.echo(f"wrote {path}", err=as_json)
+            click.echo(f"wrote {path}", err=bool(asked("json")))
 
 
-def _settle(edges: list, iterations: list, rods: int, periods: float, quiet: bool) -> None:
+def _settle(edges: list, iterations: list, rods: int, periods: float) -> None:
     """Say what the table costs, most of it the steps of Newton's cable, or refuse it."""
     swings, timed = periods + 2.6, min(periods, 0.4)
     of_rods = edges[len(edges) // 2] * iterations[-1] * timed * (1 + rods)
     passes = (sum(edges) * sum(iterations) * swings + of_rods) / _VBD_STEP
     work = cost.Cost(cost.NEWTON_ROW * len(edges) * (2 + len(iterations)) + cost.VBD_EDGE * passes)
     what = f"{len(edges)} meshes, {len(iterations)} numbers of iterations"
-    cost.settle(work, what, None, "ask for fewer, or fewer --rods or --periods", quiet=quiet)
+    cost.settle(work, what, "ask for fewer, or fewer --rods or --periods")
 
 
 def _compare(problem, edges, iterations, rods: int, duration, device, with_elastica) -> tuple:
@@ -198,16 +197,16 @@ def _compare(problem, edges, iterations, rods: int, duration, device, with_elast
     return rows, speed
 
 
-def _measure_bodies(as_json: bool) -> None:
+def _measure_bodies() -> None:
     import warnings
 
     from wrod.bench.newton_bodies import measure
     from wrod.machine import machine_line
 
-    cost.settle(cost.Cost(cost.NEWTON_BODIES), "all scenes", None, "", quiet=as_json)
+    cost.settle(cost.Cost(cost.NEWTON_BODIES), "all scenes")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Newton corrects the inertia of small bodies
-        if as_json:
+        if asked("json"):
             names = ("what", "found", "expected")
             click.echo(json.dumps([dict(zip(names, row, strict=True)) for row in measure()]))
             return
@@ -228,7 +227,7 @@ def _measure_many(device: str, worlds: int, cables: int, edges: int) -> None:
     work = cost.Cost(
         cost.NEWTON_BODIES + edges * (cost.WORLD_EDGE * worlds + cost.PILE_EDGE * cables**2)
     )
-    cost.settle(work, f"{worlds} worlds and a pile of {cables}", None, "ask for fewer of them")
+    cost.settle(work, f"{worlds} worlds and a pile of {cables}", "ask for fewer of them")
     click.echo(json.dumps({"machine": machine_line(device)}))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Newton corrects the inertia of thin capsules

@@ -1,6 +1,5 @@
 """`wrod bench optimised`: time of plans that know their table, and of deployments' derivatives."""
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import click
 import numpy as np
 
 from wrod import cost
+from wrod.telling import asked, json_option, tell
 
 # Rods that are laid at once: one, and on a GPU as many as a learner might.
 _BATCHES = (1, 64)
@@ -26,11 +26,10 @@ _BATCHES = (1, 64)
 @click.option("--together", type=click.IntRange(min=0), default=0, show_default=True,
               help="Optimise so many plans of random patterns together, too.")  # fmt: skip
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
-    rod_name: str, names: str, friction: float, patterns: Path | None, together: int, device: str,
-    as_json: bool,
-) -> None:  # fmt: skip
+    rod_name: str, names: str, friction: float, patterns: Path | None, together: int, device: str
+) -> None:
     """Optimise plans, and lay rods with and without derivatives by all directions of a plan.
 
     Each is done once before, so that kernels are there. Derivatives on a GPU are compared with
@@ -48,8 +47,8 @@ def command(
     }
     work = cost.Cost(cost.CORRECTED_PLAN * (2 * len(courses) + together))
     what = f"{2 * len(courses) + together} corrected plans"
-    cost.settle(work, what, None, "ask for fewer", quiet=as_json)
-    say = (lambda text: None) if as_json else click.echo
+    cost.settle(work, what, "ask for fewer")
+    say = (lambda text: None) if asked("json") else click.echo
     told: dict[str, Any] = {"machine": machine_line(device), "plans": [], "derivatives": []}
     say(told["machine"])
     for name, led in courses.items():
@@ -77,8 +76,8 @@ def command(
     if together:
         told["together"] = row = _together(together, device)
         say(f"{row['plans']} plans of random patterns together: {row['seconds']:.1f} s")
-    if as_json:
-        click.echo(json.dumps(told, indent=2))
+    if asked("json"):
+        tell(told)
 
 
 def _planned(led, material, friction: float, device: str) -> dict:

@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.telling import json_option, tell
 
 
 @click.command(name="perception")
@@ -19,8 +20,8 @@ from wrod import cost
 )
 @click.option("--source", type=click.Choice(["mask", "photo"]), default="mask", show_default=True)
 @click.option("--repeats", default=5, show_default=True, help="Timed runs per picture.")
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
+@json_option
+def command(images: Path, source: str, repeats: int) -> None:
     """Trace every picture from its union mask or from the photograph, and score it.
 
     Dice is that of the paths drawn with their radius, the best match of paths and labels; count
@@ -28,11 +29,10 @@ def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
     """
     import cv2
     import numpy as np
-    from tqdm import tqdm
 
     from wrod.errors import DataError, WrodError
     from wrod.files import read_json
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.perception.image import read_image
     from wrod.perception.score import score_paths
     from wrod.perception.trace import trace_centerlines
@@ -43,15 +43,13 @@ def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
     cv2.setNumThreads(1)
     runs = repeats * sum(len(list((folder / "gt").glob("*.png"))) for folder in sets)
     work = cost.Cost(runs * cost.TRACED_PIXEL * 640 * 480)
-    cost.settle(work, f"{runs} runs", None, "ask for fewer --repeats", quiet=as_json)
+    cost.settle(work, f"{runs} runs", "ask for fewer --repeats")
     rows: list[dict[str, Any]] = []
     for folder in sets:
         counts = folder / "crossings.json"
         crossings = read_json(counts, dict[str, int], "counts") if counts.exists() else {}
         labels = sorted((folder / "gt").glob("*.png"))
-        for file in tqdm(
-            labels, unit="picture", leave=False, desc=folder.name, disable=as_json or None
-        ):
+        for file in cost.progress_bar(labels, unit="picture", desc=folder.name):
             label = read_image(file)
             if label.ndim != 2:
                 raise DataError(f"{file}: is a picture in colour; a label has a grey for each rod")
@@ -79,14 +77,15 @@ def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
         for name in sorted({row["set"] for row in rows})
         if (part := [row for row in rows if row["set"] == name])
     ]
-    if printed_as_json({"machine": machine_line(), "sets": table, "rows": rows}, as_json):
-        return
-    click.echo(f"from the {source}, one thread, median CPU time")
-    click.echo(f"{'set':>6} {'pictures':>9} {'Dice %':>7} {'count %':>8} {'order %':>8} "
-               f"{'offset px':>10} {'ms':>6}")  # fmt: skip
-    for row in table:
-        click.echo(
+    tell(
+        {"machine": machine_line(), "sets": table, "rows": rows},
+        f"from the {source}, one thread, median CPU time",
+        f"{'set':>6} {'pictures':>9} {'Dice %':>7} {'count %':>8} {'order %':>8} "
+        f"{'offset px':>10} {'ms':>6}",
+        *(
             f"{row['set']:>6} {row['pictures']:9d} {100 * row['dice']:7.2f} "
             f"{100 * row['count']:8.1f} {100 * row['order']:8.1f} {row['offset_px']:10.3f} "
             f"{row['ms']:6.1f}"
-        )
+            for row in table
+        ),
+    )

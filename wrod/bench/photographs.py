@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from wrod.arguments import refuse_idle_options
+from wrod.telling import json_option, tell
 
 
 @click.command(name="photographs")
@@ -26,7 +27,7 @@ from wrod.arguments import refuse_idle_options
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--threads", type=int, help="CPU threads; default: one per core.")
 @click.option("--workers", default=1, show_default=True, help="Processes side by side.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     data: Path,
     out: Path,
@@ -37,7 +38,6 @@ def command(
     device: str,
     threads: int | None,
     workers: int,
-    as_json: bool,
 ) -> None:
     """Find the scenario in which photographed rods were laid; predict what other grips would lay.
 
@@ -54,7 +54,7 @@ def command(
     from wrod.bench.photographs_report import left_out_table, practice_of
     from wrod.files import write_json
     from wrod.identification.laid.photographs import load_photograph, load_photographs
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     if quick:
@@ -65,14 +65,12 @@ def command(
     if quick:
         first = photographs[0].rod
         photographs = [p for p in photographs if p.rod == first][:2]
-    out.mkdir(parents=True, exist_ok=True)
     device = resolve_device(device)
     laid = Deployments(
         out / "laid.jsonl",
         {"spacing": spacing, "step": step, "data": data.name},
         device=device,
         threads=threads,
-        quiet=as_json,
         workers=workers,
     )
     verdicts = judge(photographs, laid, 0 if quick else scenarios)
@@ -89,18 +87,12 @@ def command(
     summary = out / "photographs.json"
     write_json(summary, figures)
     figures["written"] = [str(path) for path in (*written, summary, laid.path)]
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(left_out_table(verdicts))
+    lines = [left_out_table(verdicts)]
     if not quick:
-        click.echo(figures["table3"]["text"])
-        click.echo(figures["plans"]["text"])
-        click.echo(figures["waves"]["text"])
-        click.echo(
-            f"practice (green VPS, letter L, optimal path): {figures['predictions']['practice']}"
-        )
-    for path in figures["written"]:
-        click.echo(f"wrote {path}")
+        lines += [figures[part]["text"] for part in ("table3", "plans", "waves")]
+        practice = figures["predictions"]["practice"]
+        lines.append(f"practice (green VPS, letter L, optimal path): {practice}")
+    tell(figures, *lines)
 
 
 def _add_predictions(figures: dict, out: Path, photographs, verdicts, laid, data: Path) -> list:

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod import side_by_side
+from wrod import cost, side_by_side
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 from wrod.identification.laid.photographs import LaidPhotograph
-from wrod.identification.laid.scenario import LaidRod, Scenario, lay, plan_without_lead_in
+from wrod.identification.laid.scenario import SPEED, LaidRod, Scenario, lay, plan_without_lead_in
 from wrod.rods.catalogue import rod as preset
 
 KEYS = ("method", "rod", "pattern", "scenario")
@@ -21,12 +21,11 @@ _TOGETHER = 16
 class Deployments:
     """Simulated deployments, each computed once and kept in a file."""
 
-    def __init__(self, path: Path, settings: dict, *, device, threads, quiet, workers=1):
+    def __init__(self, path: Path, settings: dict, *, device, threads, workers=1):
         self.path, self.workers, self.device = path, workers, device
         self._ledger = Ledger(path, settings, KEYS, "photographs", row_schemas.LaidRow)
         self._options = {k: settings[k] for k in ("spacing", "step")}
         self._options |= {"device": device, "threads": threads if workers == 1 else 1}
-        self._quiet = quiet
 
     def of(
         self, photograph: LaidPhotograph, method: str, scenarios: dict[str, Scenario]
@@ -44,43 +43,28 @@ class Deployments:
     def prepare(self, wanted: list[tuple[LaidPhotograph, str, dict[str, Scenario]]]) -> None:
         """Lay what is not in the file yet of (photograph, method, scenarios), over the processes;
         scenarios that begin alike are laid together."""
-        done = self._ledger.done()
         jobs = []
         for photograph, method, scenarios in wanted:
             head = (method, photograph.rod, photograph.pattern_name)
+            lacking = [key[-1] for key in self._ledger.lacking((*head, n) for n in scenarios)]
             for held in (True, False):
-                batch = [
-                    (name, scenario)
-                    for name, scenario in scenarios.items()
-                    if scenario.held is held and (*head, name) not in done
-                ]
+                batch = [(n, scenarios[n]) for n in lacking if scenarios[n].held is held]
                 jobs += [
                     (photograph, method, dict(batch[k : k + _TOGETHER]), self._options)
                     for k in range(0, len(batch), _TOGETHER)
                 ]
         if not jobs:
             return
-        from tqdm import tqdm
-
-        from wrod import cost
-        from wrod.identification.laid.scenario import SPEED
-        from wrod.rods.catalogue import rod
-
         count = sum(len(scenarios) for _, _, scenarios, _ in jobs)
         work = cost.deployments(
-            count, max(rod(photograph.rod).length for photograph, *_ in jobs), speed=SPEED,
+            count, max(preset(photograph.rod).length for photograph, *_ in jobs), speed=SPEED,
             step=self._options["step"], spacing=self._options["spacing"], device=self.device,
         )  # fmt: skip
         # At most a thousand scenarios a picture, a few dozen at once: no more than a machine has.
-        cost.settle(
-            cost.Cost(work.seconds), f"{count} deployments", None, "", force=True,
-            quiet=self._quiet,
-        )  # fmt: skip
-
-        with tqdm(total=len(jobs), leave=False, desc="deployments", disable=self._quiet) as bar:
-            for _, rows in side_by_side.run(_lay, jobs, self.workers):
-                self._ledger.add(rows)
-                bar.update()
+        cost.settle(cost.Cost(work.seconds), f"{count} deployments", force=True)
+        ended = side_by_side.run(_lay, jobs, self.workers)
+        for _, rows in cost.progress_bar(ended, total=len(jobs), desc="deployments"):
+            self._ledger.add(rows)
 
     def map(self, function, jobs: list[tuple]) -> list:
         """`function(*job)` of every job in order, over the processes."""

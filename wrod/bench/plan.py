@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.telling import json_option, tell
 
 
 @click.command(name="plan")
@@ -17,12 +18,12 @@ from wrod import cost
 )
 @click.option("--method", default="numeric", show_default=True)
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def command(patterns: Path | None, method: str, device: str, as_json: bool) -> None:
+@json_option
+def command(patterns: Path | None, method: str, device: str) -> None:
     """Plan every pattern for the paper's rods 1 to 3, at a node every 2.5 mm."""
     import wrod
     from wrod.errors import PatternError
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
@@ -35,7 +36,7 @@ def command(patterns: Path | None, method: str, device: str, as_json: bool) -> N
         curves = [wrod.Pattern.load(file) for file in files]
     rods = wrod.rod_names()[:3]
     count = len(rods) * len(curves)
-    cost.settle(cost.Cost(cost.PLAN * count), f"{count} plans", None, "", quiet=as_json)
+    cost.settle(cost.Cost(cost.PLAN * count), f"{count} plans")
     wrod.plan(curves[0], wrod.rod(rods[0]), method, device=device)  # compile
     rows: list[dict[str, Any]] = []
     for name in rods:
@@ -47,12 +48,13 @@ def command(patterns: Path | None, method: str, device: str, as_json: bool) -> N
                 {"rod": name, "pattern": curve.name, "nodes": len(trajectory), "seconds": seconds}
             )
     total = sum(row["seconds"] for row in rows)
-    if printed_as_json({"machine": machine_line(device), "rows": rows, "seconds": total}, as_json):
-        return
-    click.echo(f"{'rod':>12} {'pattern':>12} {'nodes':>6} {'ms':>8}")
-    for row in rows:
-        click.echo(
-            f"{row['rod']:>12} {row['pattern']:>12} {row['nodes']:6d} {1e3 * row['seconds']:8.1f}"
-        )
     longest = 1e3 * max(row["seconds"] for row in rows)
-    click.echo(f"{len(rows)} plans in {total:.2f} s, {longest:.1f} ms at most")
+    tell(
+        {"machine": machine_line(device), "rows": rows, "seconds": total},
+        f"{'rod':>12} {'pattern':>12} {'nodes':>6} {'ms':>8}",
+        *(
+            f"{row['rod']:>12} {row['pattern']:>12} {row['nodes']:6d} {1e3 * row['seconds']:8.1f}"
+            for row in rows
+        ),
+        f"{len(rows)} plans in {total:.2f} s, {longest:.1f} ms at most",
+    )

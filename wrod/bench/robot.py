@@ -1,15 +1,16 @@
 """`wrod bench robot`: joint paths for the seven patterns and rods 1 to 3, of one arm or of all."""
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 
 from wrod import cost
-
-PATTERNS = ("line", "circle", "sine", "letter-U", "letter-C", "letter-L", "letter-A")
-RODS = ("pink-vps", "green-vps", "rope")
+from wrod.bench.table3_paper import PATTERNS, RODS, read_pattern
+from wrod.machine import machine_line
+from wrod.telling import json_option, tell
 
 
 @click.command(name="robot")
@@ -29,7 +30,7 @@ RODS = ("pink-vps", "green-vps", "rope")
     help="Folder of finished cases, with a valid scene asked of each; a stopped run goes on.",
 )
 @click.option("--finer", is_flag=True, help="Compare with plans at a tenth of the node distance.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     method: str,
     patterns: Path | None,
@@ -37,15 +38,12 @@ def command(
     rods: str,
     out: Path | None,
     finer: bool,
-    as_json: bool,
 ) -> None:
     """Solve 21 joint paths an arm with automatic placement and print what they keep.
 
     Cases of one run may be shared out by --robots and --rods to processes with folders of their
     own; lines of their arms.jsonl below the first may be put into one file.
     """
-    from tqdm import tqdm
-
     from wrod.errors import RobotError
     from wrod.files.ledger import Ledger
     from wrod.planning.sources import SOURCES
@@ -62,33 +60,22 @@ def command(
     if method not in SOURCES:
         raise RobotError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
     for pattern in PATTERNS:  # one that cannot be read is refused before the others are planned
-        _curve(pattern, patterns)
+        read_pattern(pattern, patterns)
     cases = [
         (name, p, r) for name in names for r in dict.fromkeys(rods.split(",")) for p in PATTERNS
     ]
-    ledger = None
-    if out is not None:
-        settings = {
-            "method": method,
-            "patterns": None if patterns is None else str(patterns),
-            "finer": finer,
-        }
-        ledger = Ledger(out / "arms.jsonl", settings, ("robot", "pattern", "rod"), "arms", _fields)
-    done = {
-        (r["robot"], r["pattern"], r["rod"]): r for r in ([] if ledger is None else ledger.rows)
-    }
-    left = sum(case not in done for case in cases)
-    work = cost.Cost(cost.JOINT_PATH * left)
-    cost.settle(work, f"{left} joint paths", out, "", quiet=as_json)
-    rows = []
-    for name, pattern, rod in tqdm(cases, leave=False, disable=as_json or None):
-        row = done.get((name, pattern, rod))
-        if row is None:
-            row = run_case(pattern, rod, method, patterns, finer, robot=name, scene=out is not None)
-            if ledger is not None:
-                ledger.add([row])
-        rows.append(row)
-    _say(rows, finer, as_json)
+    kept = None if out is None else out / "arms.jsonl"
+    folder = None if patterns is None else str(patterns)
+    settings = {"method": method, "patterns": folder, "finer": finer}
+    ledger = Ledger(kept, settings, ("robot", "pattern", "rod"), "arms", _fields)
+    left = ledger.lacking(cases)
+    cost.settle(cost.Cost(cost.JOINT_PATH * len(left)), f"{len(left)} joint paths")
+    for name, pattern, rod in cost.progress_bar(left):
+        scene = out is not None
+        ledger.add([run_case(pattern, rod, method, patterns, finer, robot=name, scene=scene)])
+    rows = ledger.of(cases)
+    solved = sum("error" not in row for row in rows)
+    tell({"machine": machine_line(), "paths": rows, "solved": solved}, *_lines(rows, finer))
 
 
 def _fields(row: dict) -> type:
@@ -97,26 +84,20 @@ def _fields(row: dict) -> type:
     return row_schemas.ArmsRefused if "error" in row else row_schemas.ArmsRow
 
 
-def _say(rows: list[dict], finer: bool, as_json: bool) -> None:
-    from wrod.machine import machine_line, printed_as_json
-
-    solved = sum("error" not in row for row in rows)
-    whole = sum("error" not in row and not row["no_approach"] for row in rows)
-    if printed_as_json({"machine": machine_line(), "paths": rows, "solved": solved}, as_json):
-        return
-    click.echo(
+def _lines(rows: list[dict], finer: bool) -> Iterator[str]:
+    yield (
         f"{'robot':7s} {'pattern':10s} {'rod':10s} {'CPU s':>6s} {'error mm':>9s} {'degrees':>9s}"
         f" {'limit':>6s} {'gap mm':>7s} {'turn':>6s} {'step':>6s} {'beyond':>6s} {'minutes':>8s}"
         + (f" {'finer mm':>9s} {'degrees':>9s}" if finer else "")
     )
     for row in rows:
         if "error" in row:
-            click.echo(
+            yield (
                 f"{row['robot']:7s} {row['pattern']:10s} {row['rod']:10s} "
                 f"{row.get('cpu', 0.0):6.2f} {row['error']}"
             )
             continue
-        click.echo(
+        yield (
             f"{row['robot']:7s} {row['pattern']:10s} {row['rod']:10s} {row['cpu']:6.2f}"
             f" {row['position_mm']:9.1e} {row['rotation_deg']:9.1e} {row['limit_margin']:6.2f}"
             f" {row['gap_mm']:7.1f} {row['turn']:6.3f} {row['step']:6.3f} {row['beyond']:6.3f}"
@@ -125,22 +106,22 @@ def _say(rows: list[dict], finer: bool, as_json: bool) -> None:
             + (" without approach" if row["no_approach"] else "")
             + (" scene: " + "; ".join(row["scene_faults"]) if row.get("scene_faults") else "")
         )
-    click.echo(
-        f"{solved} of {len(rows)} solved, {whole} of them from and to a neutral pose; limit: least "
-        "distance from a joint limit [rad]; turn and "
-        "step: most that the rod's frame and a joint turn between nodes [rad]; beyond: most that a "
-        "joint turns more than the rod's frame [rad per 5 mm of the grip's way]"
+    solved = [row for row in rows if "error" not in row]
+    whole = sum(not row["no_approach"] for row in solved)
+    yield (
+        f"{len(solved)} of {len(rows)} solved, {whole} of them from and to a neutral pose; limit: "
+        "least distance from a joint limit [rad]; turn and step: most that the rod's frame and a "
+        "joint turn between nodes [rad]; beyond: most that a joint turns more than the rod's frame "
+        "[rad per 5 mm of the grip's way]"
     )
-    stays = [row.get("stand_stays") for row in rows if "error" not in row]
-    click.echo(
+    stays = [row.get("stand_stays") for row in solved]
+    yield (
         f"the rod's stand stays out of the way in {stays.count(True)}, has to be taken away in "
         f"{stays.count(False)}, is not there in {stays.count(None)}"
     )
-    hangs = [100.0 * row["hangs"] for row in rows if "error" not in row]
+    hangs = [100.0 * row["hangs"] for row in solved]
     if hangs:
-        click.echo(
-            f"rod that is not laid when the hand opens: {min(hangs):.1f} to {max(hangs):.1f} cm"
-        )
+        yield f"rod that is not laid when the hand opens: {min(hangs):.1f} to {max(hangs):.1f} cm"
 
 
 def against_finer(path, curve, rod, method: str, trajectory) -> dict:
@@ -165,15 +146,6 @@ def against_finer(path, curve, rod, method: str, trajectory) -> dict:
         "finer_mm": float(1e3 * np.linalg.norm(poses[:, :3, 3] - position, axis=1).max()),
         "finer_deg": float(np.degrees((held.inv() * frames).magnitude().max())),
     }
-
-
-def _curve(pattern: str, folder: Path | None):
-    """The pattern, of a folder of points files if there is one."""
-    import wrod
-
-    if folder is None:
-        return wrod.pattern(pattern)
-    return wrod.Pattern.load(folder / f"{pattern.replace('-', '')}.txt")
 
 
 def run_case(
@@ -203,7 +175,7 @@ def run_case(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", WrodWarning)
-            curve = _curve(pattern, folder)
+            curve = read_pattern(pattern, folder)
             trajectory = with_shapes(wrod.plan(curve, wrod.rod(rod_name), method=method))
         started = time.process_time()
         path = wrod.solve_joint_path(

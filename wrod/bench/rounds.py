@@ -2,10 +2,12 @@
 
 import time
 from collections import Counter
+from collections.abc import Iterator
 
 import click
 
 from wrod import cost
+from wrod.telling import json_option, tell
 
 # Simulated seconds after which a batch is looked at, and that it is timed for.
 _AFTER, _TIMED = 4.0, 1.0
@@ -25,8 +27,8 @@ _SHOWN = 12
 @click.option("--reefs", default=0, show_default=True, help="Ready-made reef knots; 0: none.")
 @click.option("--rounds", default=200, show_default=True, help="Rounds that are looked at.")
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(counts: str, knots: int, reefs: int, rounds: int, device: str, as_json: bool) -> None:
+@json_option
+def command(counts: str, knots: int, reefs: int, rounds: int, device: str) -> None:
     """A round is a Newton iteration of every rod that is under way.
 
     Times of kernels, on a GPU, are of rounds that are launched one by one; a round's own time is as
@@ -34,7 +36,7 @@ def command(counts: str, knots: int, reefs: int, rounds: int, device: str, as_js
     """
     import wrod.kernels  # noqa: F401  # starts Warp quietly
     from wrod.arguments import parse_list
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
@@ -47,27 +49,28 @@ def command(counts: str, knots: int, reefs: int, rounds: int, device: str, as_js
         laid.seconds + knotted.seconds + bent.seconds, laid.memory + knotted.memory + bent.memory
     )
     what = f"{sum(numbers)} deployments and {knots + reefs} knots"
-    cost.settle(work, what, None, "ask for fewer --rods, --knots or --reefs", quiet=as_json)
+    cost.settle(work, what, "ask for fewer --rods, --knots or --reefs")
     rows = [_deployments(count, rounds, device) for count in numbers]
     if knots:
         rows.append(_knots(knots, rounds, device))
     if reefs:
         rows.append(_reefs(reefs, rounds, device))
-    if printed_as_json({"machine": machine_line(device), "rows": rows}, as_json):
-        return
-    for row in rows:
-        click.echo(
-            f"{row['rods']} {row['what']} of {row['nodes']} nodes: {row['round']:.3f} ms a round, "
-            f"{row['rounds_a_second']:.0f} rounds a simulated second"
-        )
-        if not row["kernels"]:
-            continue
-        click.echo(
+    lines = (line for row in rows for line in _lines(row))
+    tell({"machine": machine_line(device), "rows": rows}, *lines)
+
+
+def _lines(row: dict) -> Iterator[str]:
+    yield (
+        f"{row['rods']} {row['what']} of {row['nodes']} nodes: {row['round']:.3f} ms a round, "
+        f"{row['rounds_a_second']:.0f} rounds a simulated second"
+    )
+    if row["kernels"]:
+        yield (
             f"  one by one the GPU works {row['work']:.3f} ms in {row['launches']:.0f} launches, "
             "of which"
         )
-        for name, milliseconds in row["kernels"]:
-            click.echo(f"  {1e3 * milliseconds:8.1f} us  {name}")
+    for name, milliseconds in row["kernels"]:
+        yield f"  {1e3 * milliseconds:8.1f} us  {name}"
 
 
 def _deployments(count: int, rounds: int, device: str) -> dict:
@@ -79,7 +82,7 @@ def _deployments(count: int, rounds: int, device: str) -> dict:
     from wrod.deployment.assembly import assemble
     from wrod.deployment.simulate import nodes_needed, prepare_trials
 
-    plans = _plans(RODS, {name: read_pattern(name, None) for name in PATTERNS}, None, device, True)
+    plans = _plans(RODS, {name: read_pattern(name, None) for name in PATTERNS}, None, device)
     keys = product(range(10), RODS, SUBSTRATES, PATTERNS, METHODS)
     keys = [(rod, table, name, method, trial) for trial, rod, table, name, method in keys]
     trials = [_trial(key, plans) for key in islice(cycle(keys), count)]

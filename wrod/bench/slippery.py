@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -18,6 +17,7 @@ from wrod.bench.slippery_report import KEYS, draw, means, summary, told, write_c
 from wrod.errors import RodError
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
+from wrod.telling import tell
 
 ENGINES = ("wrod", "mujoco")
 # A rod that is put down exactly, and one that lies exactly where a robot that stands elsewhere, and
@@ -97,17 +97,13 @@ def command(
     Plans are kept in OUT/plans and finished trials in OUT/trials.jsonl: a run that was stopped goes
     on from there.
     """
-    from tqdm import tqdm
-
     from wrod.arguments import parse_list
     from wrod.bench.mujoco_chain import require_mujoco
     from wrod.rods.device import resolve_device
 
-    if trials < 1:
-        raise RodError(f"trials is {trials}; give 1 or more")
     asked = campaign.Common(**common)
-    out, spacing, as_json = asked.out, asked.spacing, asked.as_json
-    chosen, played = _some(methods, "method", METHODS), _some(engines, "engine", ENGINES)
+    out, spacing = asked.out, asked.spacing
+    chosen, played = some(methods, "method", METHODS), some(engines, "engine", ENGINES)
     by = _disturbing(undisturbed, disturbed)
     if "mujoco" in played:
         require_mujoco()
@@ -126,7 +122,6 @@ def command(
     how = {**pace, "disturbed": by, "chain_step": chain_step}
     for rod_name, name in product(rods.split(","), names.split(",")):
         shelf.course(rod_name, name)  # refused before anything is written
-    out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery", row_schemas.SlipperyRow)
     cells = list(product(rods.split(","), names.split(","), mus, chosen, played))
     keys = [
@@ -136,24 +131,29 @@ def command(
         if (trial == 0 or cell[3] != PUT_DOWN) and (cell[3] != "feedback" or cell[4] == "wrod")
     ]
 
-    done = ledger.done()
-    jobs = [(shelf, key, spacing, how) for key in keys if key not in done]
+    jobs = [(shelf, key, spacing, how) for key in ledger.lacking(keys)]
     longest = max(shelf.course(*cell[:2])[1].length for cell in cells)
     campaign.settle(
-        len(jobs), longest, out, device=device, batch=asked.batch, force=asked.force, quiet=as_json,
-        more=_effort([key for _, key, *_ in jobs]), speed=asked.speed, step=asked.step,
-        spacing=spacing,
+        len(jobs), longest, device=device, batch=asked.batch, speed=asked.speed, step=asked.step,
+        spacing=spacing, more=_effort([key for _, key, *_ in jobs]),
     )  # fmt: skip
     shelf.stock([(*key[:3], _CORRECTED[key[3]]) for _, key, *_ in jobs if key[3] in _CORRECTED],
                 workers)  # fmt: skip
-    with tqdm(total=len(keys), initial=len(keys) - len(jobs), unit="trial", disable=as_json) as bar:
+    begun = len(keys) - len(jobs)
+    with cost.progress_bar(total=len(keys), initial=begun, unit="trial") as bar:
 
         def note(_, row: dict) -> None:
             ledger.add([row])
             bar.update(1)
 
         courses.run(_course, jobs, note, device=device, workers=workers)
-    _tell(ledger.of(keys), shelf, out, [ledger.path], as_json)
+    rows = ledger.of(keys)
+    written = [write_csv(out / "slippery.csv", rows), out / "trials.jsonl"]
+    written.append(draw(out / "slippery.png", rows, shelf.course, METHODS))
+    table = summary(rows)
+    groups = means(table, shelf.bends)
+    figures = {"cells": table, "means": groups, "written": [str(path) for path in written]}
+    tell(figures, *told(table, groups))
 
 
 def _effort(keys: list[tuple]) -> float:
@@ -164,22 +164,6 @@ def _effort(keys: list[tuple]) -> float:
     return cost.CORRECTED_PLAN * plans + cost.LOOKING_ON * looking
 
 
-def _tell(rows: list[dict], shelf: Shelf, out: Path, kept: list[Path], as_json: bool) -> None:
-    """Print what the trials came to, and write table and picture."""
-    written = [write_csv(out / "slippery.csv", rows), *kept]
-    written.append(draw(out / "slippery.png", rows, shelf.course, METHODS))
-    table = summary(rows)
-    groups = means(table, shelf.bends)
-    if as_json:
-        paths = [str(path) for path in written]
-        click.echo(json.dumps({"cells": table, "means": groups, "written": paths}, indent=2))
-        return
-    for line in told(table, groups):
-        click.echo(line)
-    for path in written:
-        click.echo(f"wrote {path}")
-
-
 def _disturbing(undisturbed: bool, disturbed: str | None) -> list[str]:
     """What of a laboratory's disturbances the trials have."""
     from wrod.deployment.setup import DEVIATIONS
@@ -187,11 +171,11 @@ def _disturbing(undisturbed: bool, disturbed: str | None) -> list[str]:
     if undisturbed and disturbed is not None:
         raise RodError("--undisturbed leaves nothing for --disturbed to choose; leave one out")
     if disturbed is not None:
-        return _some(disturbed, "disturbance", tuple(DEVIATIONS))
+        return some(disturbed, "disturbance", tuple(DEVIATIONS))
     return [] if undisturbed else list(DEVIATIONS)
 
 
-def _some(names: str, what: str, known: tuple[str, ...]) -> list[str]:
+def some(names: str, what: str, known: tuple[str, ...]) -> list[str]:
     """The names, with commas between, all of which must be known."""
     given = names.split(",")
     if unknown := [name for name in given if name not in known]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.arguments import refuse_idle_options
 from wrod.bench import campaign, courses
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
@@ -43,14 +44,13 @@ def _only(what: str, parameter: str, names: tuple[str, ...]):
 @_only("substrate", "substrates", SUBSTRATES)
 @_only("pattern", "names", PATTERNS)
 @campaign.options(speed=0.02, step=0.01, spacing=0.005)
-def command(as_json: bool, **given) -> None:
+def command(**given) -> None:
     """Rods 1-3 x fabric, steel, foam x seven patterns x {INT, OPT} x ten trials.
 
     Finished trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
     """
     asked = _Asked(**{f.name: given.pop(f.name) for f in fields(_Asked)})
-    told, spent = _table(asked, quiet=as_json, **given)
-    campaign.say(told, spent, as_json)
+    _table(asked, **given)
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,6 @@ class _Asked:
         from wrod.errors import RodError
         from wrod.grasps.inputs import CLOSURES
 
-        if self.trials < 1:
-            raise RodError(f"trials is {self.trials}; give 1 or more")
         if self.closure is not None and self.closure not in CLOSURES:
             known = ", ".join(CLOSURES)
             raise RodError(f"unknown closure {self.closure!r:.60}; use one of {known}")
@@ -94,17 +92,9 @@ class _Asked:
 
 
 def _table(
-    asked: _Asked,
-    out: Path,
-    workers: int,
-    batch: int | None,
-    device: str,
-    quiet: bool,
-    force: bool,
-    **how: float,
-) -> tuple[dict, campaign.Spent]:
-    """What the command tells, and what the trials cost; `how` they are simulated: release, speed,
-    step and spacing."""
+    asked: _Asked, out: Path, workers: int, batch: int | None, device: str, **how: float
+) -> None:
+    """Lay and tell; `how` trials are simulated: release, speed, step and spacing."""
     from wrod.bench.table3_report import KEYS
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.files import row_schemas
@@ -117,7 +107,6 @@ def _table(
         refuse_idle_options("plans for no table in particular", "workers")
     device, settings = resolve_device(device), asked.settings(how)
     rods, substrates, curves = asked.cells()
-    out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", row_schemas.Table3Row)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
@@ -127,17 +116,14 @@ def _table(
         )
     ]
     lay = {name: how[name] for name in ("speed", "step", "spacing")}
-    pending = len(set(keys) - ledger.done())
     longest = max(rod(name).length for name in rods)
-    campaign.settle(
-        pending, longest, out, force=force, quiet=quiet, device=device, batch=batch, **lay
-    )
+    campaign.settle(len(ledger.lacking(keys)), longest, device=device, batch=batch, **lay)
     start = time.perf_counter()
     compile_steps(device)
     compiled = time.perf_counter() - start
-    plans = _plans(rods, curves, asked.closure, device, quiet)
+    plans = _plans(rods, curves, asked.closure, device)
     if asked.known_table:
-        plans |= _corrected_plans(plans, substrates, out / "plans", device, workers, quiet)
+        plans |= _corrected_plans(plans, substrates, out / "plans", device, workers)
     first = [_trial(key, plans) for key in keys[: len(keys) // asked.trials]]
     nodes = nodes_needed(first, how["spacing"])
     planned = time.perf_counter() - start - compiled
@@ -152,14 +138,13 @@ def _table(
             for key, laid in zip(part, deployments, strict=True)
         ]
 
-    spent = campaign.run(ledger, keys, simulate, device=device, batch=batch, quiet=quiet)
+    spent = campaign.run(ledger, keys, simulate, device=device, batch=batch)
     rows = ledger.of(keys)
     words, written = _reported(out, rows, curves, asked.trials, settings)
-    told = campaign.figures(
+    campaign.say(
         spent, device=device, trials=len(rows), planned=planned, nodes=nodes, summary=words,
-        written=[*written, ledger.path], compiled=compiled,
+        written=[*written, out / "trials.jsonl"], compiled=compiled,
     )  # fmt: skip
-    return told, spent
 
 
 def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str], list[Path]]:
@@ -183,11 +168,9 @@ def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str]
     ]
 
 
-def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) -> dict:
+def _plans(rods, curves: dict, closure: str | None, device: str) -> dict:
     """(rod, pattern, method) -> pattern with remainder, rod, trajectory, tail; OPT is a default
     plan, or the rod solver's with a closure that was asked for."""
-    from tqdm import tqdm
-
     from wrod.deployment.plan import plan
     from wrod.planning.remainder import prepare
     from wrod.planning.tail import tail
@@ -195,7 +178,7 @@ def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) ->
 
     plans = {}
     jobs = list(product(rods, curves, METHODS))
-    for name, curve, method in tqdm(jobs, desc="plans", leave=False, disable=quiet):
+    for name, curve, method in cost.progress_bar(jobs, desc="plans"):
         material = rod(name)
         led = prepare(curves[curve], material, None)
         optimal = method == "numeric"
@@ -206,12 +189,8 @@ def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) ->
     return plans
 
 
-def _corrected_plans(
-    plans: dict, substrates, folder: Path, device: str, workers: int, quiet: bool
-) -> dict:
+def _corrected_plans(plans: dict, substrates, folder: Path, device: str, workers: int) -> dict:
     """(rod, substrate, pattern, "numeric") -> the same as `_plans`, corrected for the table."""
-    from tqdm import tqdm
-
     from wrod.bench.table3_paper import friction
     from wrod.deployment.expectation import TOLERANCE
     from wrod.planning.tail import tail
@@ -224,7 +203,7 @@ def _corrected_plans(
         path = paths[name, substrate, curve, method] = folder / f"{name}-{substrate}-{curve}.npz"
         if not path.exists():
             jobs.append((path, led, material, trajectory, friction(name, substrate)))
-    with tqdm(total=len(jobs), desc="corrections", disable=quiet) as bar:
+    with cost.progress_bar(total=len(jobs), desc="corrections") as bar:
 
         def save(job: tuple, best: Trajectory) -> None:
             best.save(job[0])

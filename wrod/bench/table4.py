@@ -5,7 +5,9 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.arguments import refuse_idle_options
+from wrod.telling import json_option, tell
 
 RODS = ("pink-vps", "green-vps", "rope")
 # Published in Table 4 for rods 1 to 3: numeric solver [s], network [s], position error [m],
@@ -90,16 +92,14 @@ def cell(curve, rod, controller, device: str, nodes: int) -> dict:
 )
 @click.option("--closure", default="zero_tension", show_default=True, help="Of the one that ships.")
 @click.option("--device", default="auto", show_default=True, help="Of the numeric solver.")
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def command(patterns: Path, weights: Path | None, closure: str, device: str, as_json: bool) -> None:
+@json_option
+def command(patterns: Path, weights: Path | None, closure: str, device: str) -> None:
     """Compare controller and numeric solver on rods 1 to 3 and the paper's seven patterns.
 
     Both solve the controller's closure; the paper's figures are those of no tension."""
-    from tqdm import tqdm
-
     from wrod.controller.controller import Controller
     from wrod.grasps.optimal import solve_grasps
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.patterns.pattern import Pattern
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
@@ -112,28 +112,26 @@ def command(patterns: Path, weights: Path | None, closure: str, device: str, as_
     # Compile outside the clock.
     solve_grasps([5.0], [0.5], [1e3], closure=controller.closure, device=device)
     rows = []
-    for name in tqdm(RODS, unit="rod", leave=False, disable=as_json):
+    for name in cost.progress_bar(RODS, unit="rod"):
         for column, pattern in enumerate(PATTERNS):
             figures = cell(curves[pattern], rod(name), controller, device, NODES[pattern])
             published = [row[column] for row in PAPER[name]]
             keys = ("numeric_seconds", "neural_seconds", "position_error", "orientation_error")
             paper = dict(zip(keys, published, strict=True))
             rows.append({"rod": name, "pattern": pattern, **figures, "paper": paper})
-    if printed_as_json({"machine": machine_line(device), "rows": rows}, as_json):
-        return
-    click.echo("each figure beside the paper's; errors are means over the nodes, (largest)")
-    click.echo(
+    tell(
+        {"machine": machine_line(device), "rows": rows},
+        "each figure beside the paper's; errors are means over the nodes, (largest)",
         f"{'rod':>10} {'pattern':>8} {'nodes':>5} {'numeric [s]':>16} {'network [ms]':>14} "
-        f"{'position [mm]':>22} {'quaternion [1e-3]':>22}"
-    )
-    for row in rows:
-        p = row["paper"]
-        click.echo(
+        f"{'position [mm]':>22} {'quaternion [1e-3]':>22}",
+        *(
             f"{row['rod']:>10} {row['pattern']:>8} {row['nodes']:5d} "
-            f"{row['numeric_seconds']:7.2f} {p['numeric_seconds']:8.0f} "
-            f"{1e3 * row['neural_seconds']:8.2f} {1e3 * p['neural_seconds']:5.0f} "
+            f"{row['numeric_seconds']:7.2f} {row['paper']['numeric_seconds']:8.0f} "
+            f"{1e3 * row['neural_seconds']:8.2f} {1e3 * row['paper']['neural_seconds']:5.0f} "
             f"{1e3 * row['position_error']:9.4f} ({1e3 * row['position_error_max']:.4f}) "
-            f"{1e3 * p['position_error']:4.1f} "
+            f"{1e3 * row['paper']['position_error']:4.1f} "
             f"{1e3 * row['orientation_error']:9.4f} ({1e3 * row['orientation_error_max']:.4f}) "
-            f"{1e3 * p['orientation_error']:4.1f}"
-        )
+            f"{1e3 * row['paper']['orientation_error']:4.1f}"
+            for row in rows
+        ),
+    )

@@ -13,6 +13,7 @@ from wrod import cost
 from wrod.commands.options import DEVICE, options
 from wrod.machine import usable_cores
 from wrod.side_by_side import run
+from wrod.telling import asked, json_option
 
 # Kernels that a CPU has no use for.
 _OF_A_GPU = ("_lanes", "_ends", "condensing")
@@ -59,8 +60,8 @@ _PICTURE, _ALL = "pictures of scenes", "all"  # kernels that are no module's
     "--jobs", type=click.IntRange(min=1), help="Processes at a time; at most (default) one a core."
 )
 @click.option("--all", "rare", is_flag=True, help="On a CPU also what few commands launch.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(device: str, jobs: int | None, rare: bool, as_json: bool) -> None:
+@json_option
+def command(device: str, jobs: int | None, rare: bool) -> None:
     """Fill Warp's kernel cache, so that other commands do not have to wait for a compiler.
 
     Kernels are compiled once on a machine, by whatever needs them first; here they are side by
@@ -68,8 +69,6 @@ def command(device: str, jobs: int | None, rare: bool, as_json: bool) -> None:
     solver's grasps of naturally curved rods, and of Newton's solvers. What is there already is not
     compiled again. `make setup` does this.
     """
-    from tqdm import tqdm
-
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
@@ -77,15 +76,13 @@ def command(device: str, jobs: int | None, rare: bool, as_json: bool) -> None:
     clock = time.perf_counter()
     jobs = min(jobs or usable_cores(), usable_cores())
     work = cost.Cost((cost.KERNELS + rare * cost.RARE_KERNELS) / jobs)
-    cost.settle(work, "the kernels, where none is there yet", None, "", quiet=as_json)
+    cost.settle(work, "the kernels, where none is there yet")
     kernels = _wanted(rare) if device == "cpu" else [_ALL]
     parts = [(device, part) for part in (_PICTURE, *kernels)]
-    done = tqdm(
-        run(_compile, parts, jobs), total=len(parts), desc="kernels", disable=as_json or None
-    )
+    done = cost.progress_bar(run(_compile, parts, jobs), total=len(parts), desc="kernels")
     failed = [wrong for _, wrong in done if wrong]
     seconds = time.perf_counter() - clock
-    if as_json:
+    if asked("json"):
         figures = {"seconds": seconds, "failed": failed, "machine": machine_line(device)}
         click.echo(json.dumps(figures))
         return

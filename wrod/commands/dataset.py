@@ -8,6 +8,7 @@ import click
 from wrod import cost
 from wrod.arguments import refuse_idle_options
 from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, RodOptions, gathered, options
+from wrod.telling import asked, json_option, tell
 
 
 @click.command(name="dataset", short_help="Solve grasps to train a controller with.")
@@ -25,7 +26,7 @@ from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, RodOptions, gather
 @click.option("--shard-size", type=click.IntRange(min=1), help="Samples per file; default 2048.")
 @options(DEVICE)
 @cost.force_option
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     size: int,
     out: Path,
@@ -36,8 +37,6 @@ def command(
     roll_text: str | None,
     shard_size: int | None,
     device: str,
-    as_json: bool,
-    force: bool,
 ) -> None:
     """Solve grasps at low-discrepancy samples of (l_s, kappa, k_s), or of one rod alone.
 
@@ -66,21 +65,15 @@ def command(
             size, row_bytes(sensitivities), min(shard_size, size), sensitivities=sensitivities,
             device=rank.device(device), ranks=rank.count,
         ),
-        f"{size} grasps", out, "ask for fewer, or for a smaller --shard-size", force=force,
-        quiet=as_json,
+        f"{size} grasps", "ask for fewer, or for a smaller --shard-size",
     )  # fmt: skip
     with cost.progress_bar(
-        unit="grasp", desc=label, position=rank.local_index, total=size // rank.count, quiet=as_json
+        unit="grasp", desc=label, position=rank.local_index, total=size // rank.count
     ) as bar:
-
-        def progress(count: int, total: int) -> None:
-            bar.total = total
-            bar.update(count)
-
         outcome = generate(
             out, size, seed=seed, closure=closure, sensitivities=sensitivities,
             shard_size=shard_size, rod=rod, roll=read_roll(roll_text, rod),
-            device=device, rank=rank, progress=progress,
+            device=device, rank=rank, progress=cost.counting(bar),
         )  # fmt: skip
     figures = {
         "samples": outcome.samples,
@@ -94,13 +87,12 @@ def command(
         "machine": machine_line(rank.device(device)),
         "written": [str(out)],
     }
-    if as_json:
+    if asked("json"):
         click.echo(json.dumps(figures))  # one line, for ranks share a stream
         return
-    click.echo(figures["machine"])
-    click.echo(
+    tell(
+        figures,
         f"{label}: {outcome.samples}, {outcome.solved} solved now in {outcome.seconds:.1f} s "
-        f"({figures['per_second']:.0f} per second)"
+        f"({figures['per_second']:.0f} per second)",
+        f"not converged {outcome.unconverged}, unstable {outcome.unstable}; left out",
     )
-    click.echo(f"not converged {outcome.unconverged}, unstable {outcome.unstable}; left out")
-    click.echo(f"wrote {out}")

@@ -16,7 +16,7 @@ from wrod.commands.options import (
     gathered,
     options,
 )
-from wrod.machine import printed_as_json
+from wrod.telling import json_option, tell
 
 
 @click.command(name="deploy")
@@ -28,7 +28,7 @@ from wrod.machine import printed_as_json
 @gathered("laying", Laying, LAYING)
 @options(DEVICE)
 @cost.force_option
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     pattern: str,
     rod_options: RodOptions,
@@ -37,8 +37,6 @@ def command(
     reading: PatternOptions,
     laying: Laying,
     device: str,
-    as_json: bool,
-    force: bool,
 ) -> None:
     """Lay a rod along PATTERN in simulation, and measure it.
 
@@ -46,19 +44,16 @@ def command(
     the grip holding, and again after the grip laid the tail straight ahead and let go.
     """
     from wrod.deployment.fixtures import Fixtures
-    from wrod.errors import RodError
     from wrod.solvers.contact import Friction
 
-    if laying.trials < 1:
-        raise RodError(f"trials is {laying.trials}; give 1 or more")
     planned.check()
     rod, curve = rod_options.read(), reading.read(pattern)
     Friction(laying.friction, laying.kinetic, laying.rolling)  # refused before it is planned
     file = laying.fixtures_file
     fixtures = None if file is None else Fixtures.load(file)
     path, curve = planned.path(curve, rod, device)
-    laying.settle(rod, path, out, device, force=force, quiet=as_json)
-    deployments = laying.lay(curve, rod, path, fixtures, device, as_json)
+    laying.settle(rod, path, device)
+    deployments = laying.lay(curve, rod, path, fixtures, device)
     written = _write(out, laying, deployments, path, curve, rod, fixtures)
     placed = None
     if fixtures is not None:
@@ -78,19 +73,18 @@ def command(
         ],
         "written": [str(name) for name in written],
     }
-    if printed_as_json(figures, as_json):
-        return
-    for k, d in enumerate(deployments):
-        click.echo(
+    tell(
+        figures,
+        *(
             f"trial {k}: "
             + ("diverged; the last good state is " if d.diverged else "")
             + f"{100 * d.error_mean:.3f} ± {100 * d.error_std:.3f} cm with the grip holding, "
             f"{100 * d.released_error_mean:.3f} ± {100 * d.released_error_std:.3f} cm let go; "
             f"largest slip {100 * d.slip.max():.2f} cm"
             + ("" if placed is None else f"; {placed[k]}")
-        )
-    for name in written:
-        click.echo(f"wrote {name}")
+            for k, d in enumerate(deployments)
+        ),
+    )
 
 
 def _write(out: Path, laying: Laying, deployments: list, path, curve, rod, fixtures) -> list[Path]:

@@ -123,18 +123,14 @@ class Laying:
 
         return self.speed or pace_of(path) or _PACE
 
-    def settle(self, rod, path, out: Path, device: str, *, force: bool, quiet: bool) -> None:
+    def settle(self, rod, path, device: str) -> None:
         """Say what it costs, and refuse what costs too much."""
-        cost.settle(
-            cost.deployments(
-                self.trials, rod.length, speed=self.pace(path), step=0.01, spacing=0.005,
-                device=device,
-            ),
-            f"{self.trials} deployments", out, "ask for fewer --trials or a larger --speed",
-            force=force, quiet=quiet,
-        )  # fmt: skip
+        how = {"speed": self.pace(path), "step": 0.01, "spacing": 0.005}
+        work = cost.deployments(self.trials, rod.length, device=device, **how)
+        remedy = "ask for fewer --trials or a larger --speed"
+        cost.settle(work, f"{self.trials} deployments", remedy)
 
-    def lay(self, curve, rod, path, fixtures, device: str, quiet: bool) -> list:
+    def lay(self, curve, rod, path, fixtures, device: str) -> list:
         """The deployments, one for each trial."""
         from wrod.deployment.setup import Disturbance
         from wrod.deployment.simulate import Trial, simulate_deployments
@@ -156,7 +152,7 @@ class Laying:
             for seed in range(self.trials)
         ]
         shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-        with cost.progress_bar(total=100, desc="laid", quiet=quiet, bar_format=shown) as bar:
+        with cost.progress_bar(total=100, desc="laid", bar_format=shown) as bar:
             return simulate_deployments(
                 jobs,
                 speed=self.pace(path),

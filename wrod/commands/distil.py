@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.machine import printed_as_json
+from wrod.telling import json_option, tell
 
 # What laying a rod once takes of the time of a plan, in which it is laid five times.
 _LAID_ONCE = 0.2
@@ -25,11 +25,8 @@ _LAID_ONCE = 0.2
 )  # fmt: skip
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @cost.force_option
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(
-    size: int, out: Path, seed: int, steps: int, rounds: int, device: str, force: bool,
-    as_json: bool,
-) -> None:  # fmt: skip
+@json_option
+def command(size: int, out: Path, seed: int, steps: int, rounds: int, device: str) -> None:
     """Optimise plans of random patterns for random tables, and train a network on them.
 
     `wrod plan --friction 0.3 --method distilled` asks the network instead of optimising. It learns
@@ -47,14 +44,10 @@ def command(
     rank = Rank.from_environment()
     visits = 0 if rank.count > 1 else rounds
     work = cost.CORRECTED_PLAN * size / rank.count * (1.0 + _LAID_ONCE * visits)
-    cost.settle(
-        cost.Cost(work, 1e9, 3e4 * size),
-        f"{size} optimised plans", out, "ask for fewer", force=force, quiet=as_json,
-    )  # fmt: skip
+    cost.settle(cost.Cost(work, 1e9, 3e4 * size), f"{size} optimised plans", "ask for fewer")
     with cost.progress_bar(
-        unit="plan", desc="plans", position=rank.local_index, total=-(-size // rank.count),
-        quiet=as_json,
-    ) as bar:  # fmt: skip
+        unit="plan", desc="plans", position=rank.local_index, total=-(-size // rank.count)
+    ) as bar:
         good, bad = generate(
             out / "plans",
             size,
@@ -65,26 +58,23 @@ def command(
         )
     figures: dict = {"plans": good, "not_laid": bad, "written": [str(out / "plans")]}
     if rank.count == 1:
-        corrector = _trained(out / "plans", size, seed, steps, rounds, device, as_json)
+        corrector = _trained(out / "plans", size, seed, steps, rounds, device)
         path = corrector.save(out / "corrections.safetensors")
         figures |= corrector.metadata | {"plans": good}
         figures["written"].append(str(path))
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(f"plans {good}, {bad} patterns could not be laid")
+    lines = [f"plans {good}, {bad} patterns could not be laid"]
     if rank.count == 1:
         before = figures["before"]
         laid = "" if before is None else f", {before:.3f} where the network before laid them"
-        click.echo(
+        lines.append(
             f"{figures['held_out']} plans held out err by {figures['static']:.3f} L_gb without "
             f"corrections, {figures['error']:.3f} by the network's as far as their models tell"
             f"{laid}, {figures['optimised']:.3f} by their own"
         )
-    for one in figures["written"]:
-        click.echo(f"wrote {one}")
+    tell(figures, *lines)
 
 
-def _trained(plans: Path, size: int, seed: int, steps: int, rounds: int, device: str, quiet: bool):
+def _trained(plans: Path, size: int, seed: int, steps: int, rounds: int, device: str):
     """The last of the networks, each of which learns from what the one before laid, too."""
     from wrod.training.distil import distil
     from wrod.training.plan_files import load
@@ -92,10 +82,10 @@ def _trained(plans: Path, size: int, seed: int, steps: int, rounds: int, device:
 
     for k in range(1, rounds + 2):
         samples = load(plans)
-        with cost.progress_bar(unit="step", desc="steps", total=steps, quiet=quiet) as bar:
+        with cost.progress_bar(unit="step", desc="steps", total=steps) as bar:
             corrector = distil(samples, steps=steps, seed=seed, progress=lambda: bar.update(1))
         if k <= rounds:
-            with cost.progress_bar(unit="plan", desc="laid", total=size, quiet=quiet) as bar:
+            with cost.progress_bar(unit="plan", desc="laid", total=size) as bar:
                 visit_all(
                     plans, size, corrector, k, seed=seed, device=device,
                     progress=lambda: bar.update(1),

@@ -1,6 +1,5 @@
 """`wrod identify DATA.npz`: what a rod's model misses, and a better model."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ import click
 
 from wrod import cost
 from wrod.arguments import refuse_idle_options
-from wrod.machine import printed_as_json
+from wrod.telling import asked, json_option, tell
 
 # Parameters of an effect that are printed.
 _SHOWN = 8
@@ -30,7 +29,7 @@ _SHOWN = 8
     help="Of a clamped rod: end the search by then with the best verdict so far.",
 )
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--json", "as_json", is_flag=True, help="Print the report for machines.")
+@json_option
 def command(
     data: Path | None,
     test: Path | None,
@@ -39,7 +38,6 @@ def command(
     template: str | None,
     minutes: float | None,
     device: str,
-    as_json: bool,
 ) -> None:
     """Find what the base model of the rod in DATA lacks, and prove it on data not fitted.
 
@@ -55,7 +53,7 @@ def command(
         if data is not None:
             raise DataError(f"{data} and --template were both given; give one or the other")
         refuse_idle_options("--template", "test", "effect", "minutes", "device")
-        _write_template(template, out, as_json)
+        _write_template(template, out)
         return
     if data is None:
         raise DataError("no measurements given; name an .npz file, or --template to write one")
@@ -76,20 +74,19 @@ def command(
         kept["seconds"] = 60.0 * minutes
         work = replace(work, seconds=min(work.seconds, kept["seconds"]))
         what = f"{data.name} identified (a search of {minutes:g} min at most)"
-    cost.settle(work, what, out, "give less data", quiet=as_json)
+    cost.settle(work, what, "give less data")
     bar_format = "{desc}: {elapsed}"
-    with cost.progress_bar(total=4, desc="reading", quiet=as_json, bar_format=bar_format) as bar:
+    with cost.progress_bar(total=4, desc="reading", bar_format=bar_format) as bar:
 
         def say(text: str) -> None:
             bar.set_description(text)
             bar.update()
 
-        asked: dict[str, Any] = dict(test=test, candidates=names or None, device=device)
-        report = identify(data, progress=say, **asked, **kept)
+        kept |= {"test": test, "candidates": names or None, "device": device}
+        report = identify(data, progress=say, **kept)
     written = report.save(out)
-    if as_json:
-        content = report.to_dict() | {"written": [str(p) for p in written]}
-        click.echo(json.dumps(content, indent=2, allow_nan=False))
+    if asked("json"):
+        tell(report.to_dict() | {"written": [str(p) for p in written]})
         return
     verdict = f"{report.verdict} so far" if report.out_of_time else report.verdict
     click.echo(f"{report.measurements.name}: {verdict}; {report.reason}")
@@ -110,14 +107,16 @@ def command(
     click.echo("wrote " + ", ".join(str(p) for p in written))
 
 
-def _write_template(kind: str, out: Path, as_json: bool) -> None:
+def _write_template(kind: str, out: Path) -> None:
     from wrod.files import read_arrays
     from wrod.identification.template import write_template
 
     path = write_template(kind, out / f"{kind}.npz")
     fields = {name: list(value.shape) for name, value in read_arrays(path).items()}
-    if printed_as_json({"fields": fields, "written": [str(path)]}, as_json):
-        return
-    for name, shape in fields.items():
-        click.echo(f"{name:16s} {tuple(shape) if shape else 'one number'}")
-    click.echo(f"wrote {path}")
+    tell(
+        {"fields": fields, "written": [str(path)]},
+        *(
+            f"{name:16s} {tuple(shape) if shape else 'one number'}"
+            for name, shape in fields.items()
+        ),
+    )

@@ -16,8 +16,8 @@ from wrod.commands.options import (
     gathered,
     options,
 )
-from wrod.machine import printed_as_json
 from wrod.rods.model_file import rod_as_json, save_rod
+from wrod.telling import json_option, tell
 
 _FIT = (
     click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient."),
@@ -57,22 +57,18 @@ class _Fit:
         if self.iterations == 0 and self.out is not None:
             raise DataError("--out is for the fitted rod, and --iterations 0 fits none; drop one")
 
-    def settle(self, rod, quiet: bool) -> None:
+    def settle(self, rod) -> None:
         """Say what the deployments cost that are simulated: one, and four for each step."""
-        work = cost.deployments(
-            1 + 4 * self.iterations, rod.length, speed=0.02, step=0.01, spacing=0.005
-        )
-        what = f"{1 + 4 * self.iterations} deployments"
-        cost.settle(work, what, self.out, "ask for fewer --iterations", quiet=quiet)
+        count = 1 + 4 * self.iterations
+        work = cost.deployments(count, rod.length, speed=0.02, step=0.01, spacing=0.005)
+        cost.settle(work, f"{count} deployments", "ask for fewer --iterations")
 
-    def run(self, laid, rod, path, device: str, quiet: bool):
+    def run(self, laid, rod, path, device: str):
         """The `LaidFit`."""
-        from tqdm import tqdm
-
         from wrod.identification.laid.fit import fit_laid
 
         shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-        with tqdm(total=1.0, leave=False, desc="laid", disable=quiet, bar_format=shown) as bar:
+        with cost.progress_bar(total=1.0, desc="laid", bar_format=shown) as bar:
             return fit_laid(
                 laid, rod, path, self.friction, released=not self.holding,
                 iterations=self.iterations, fit_friction=self.fit_friction, device=device,
@@ -106,7 +102,7 @@ class _Fit:
 @click.option("--noise", type=float, help="Of a coordinate [m]; default: the rods' scatter.")
 @gathered("fit", _Fit, _FIT)
 @options(DEVICE)
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     rods: tuple[Path, ...],
     pattern: str,
@@ -116,7 +112,6 @@ def command(
     noise: float | None,
     fit: _Fit,
     device: str,
-    as_json: bool,
 ) -> None:
     """Compare laid RODS with their pattern, and explain the difference.
 
@@ -132,7 +127,7 @@ def command(
     path = Trajectory.load(trajectory)
     if fit.iterations > 0:
         refuse_another_rod(path, rod_options.read(), ("length", "radius"))
-        fit.settle(rod_options.read(), as_json)
+        fit.settle(rod_options.read())
     curve = with_remainder_of(reading.read(pattern), path)
     laid = load_laid(list(rods), curve, units=reading.units, noise=noise)
     along, left = 1e3 * laid.residual().mean(axis=0).T
@@ -145,7 +140,7 @@ def command(
         "left_mm": left.tolist(),
     }
     if fit.iterations > 0:
-        found = fit.run(laid, rod_options.read(), path, device, as_json)
+        found = fit.run(laid, rod_options.read(), path, device)
         figures |= {
             "verdict": found.verdict,
             "reason": found.reason,
@@ -158,16 +153,12 @@ def command(
         }
         if written := fit.save(found):
             figures["written"] = written
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(
+    lines = [
         f"{len(rods)} rods {figures['from_pattern_mm']:.2f} mm from the pattern (RMS), noise floor "
         f"{figures['noise_floor_mm']:.2f} mm; mean {along.mean():+.2f} mm along, "
         f"{left.mean():+.2f} mm to the left"
-    )
+    ]
     if fit.iterations > 0:
-        click.echo(f"{found.verdict}: {found.reason}")
-        for name, value in found.estimates.items():
-            click.echo(f"  {name}: {value}")
-        for name in figures.get("written", []):
-            click.echo(f"wrote {name}")
+        lines.append(f"{found.verdict}: {found.reason}")
+        lines += [f"  {name}: {value}" for name, value in found.estimates.items()]
+    tell(figures, *lines)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from wrod.machine import printed_as_json
+from wrod.telling import json_option, tell
 
 
 @click.command(name="loop", short_help="Measure a rod: a fold on the table and a ruler.")
@@ -23,7 +23,7 @@ from wrod.machine import printed_as_json
     type=click.Path(dir_okay=False, path_type=Path),
     help="Rod file (.json) to write; `wrod plan --rod` reads it.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     height: float,
     radius: float,
@@ -32,7 +32,6 @@ def command(
     poisson: float,
     derive: bool,
     out: Path | None,
-    as_json: bool,
 ) -> None:
     """Measure a rod: fold it over on the table and read how high the loop stands.
 
@@ -69,12 +68,11 @@ def command(
         "bending_stiffness": rod.bending_stiffness,
         "written": [] if out is None else [str(out)],
     }
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(f"loop height             {ratio:.5f} L_gb")
-    click.echo(f"gravito-bending length  {rod.gravito_bending_length * 100:.3f} cm")
-    click.echo(f"stretch ratio           {rod.stretch_ratio:.0f}")
-    click.echo(f"Young's modulus         {rod.youngs_modulus / 1e6:.3f} MPa")
-    click.echo(f"bending stiffness       {rod.bending_stiffness:.4g} N m^2")
-    if out is not None:
-        click.echo(f"wrote {out}")
+    tell(
+        figures,
+        f"loop height             {ratio:.5f} L_gb",
+        f"gravito-bending length  {rod.gravito_bending_length * 100:.3f} cm",
+        f"stretch ratio           {rod.stretch_ratio:.0f}",
+        f"Young's modulus         {rod.youngs_modulus / 1e6:.3f} MPa",
+        f"bending stiffness       {rod.bending_stiffness:.4g} N m^2",
+    )

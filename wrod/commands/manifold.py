@@ -5,23 +5,19 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.machine import printed_as_json
+from wrod.commands.options import CLOSURE, DEVICE, options
+from wrod.telling import json_option, tell
 
 
 @click.command(name="manifold", short_help="Map the grips that lay a straight pattern.")
 @click.option("--length", required=True, type=float, help="Suspended length [L_gb].")
 @click.option("--stretch-ratio", default=2087.0, show_default=True, help="k_s [-].")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option(
-    "--closure",
-    default="zero_tension",
-    show_default=True,
-    help="zero_tension, min_force or min_friction.",
-)
+@options(CLOSURE)
 @click.option("--rays", default=69, show_default=True, help="Rays from 5 to 175 degrees.")
 @click.option("--nudge", default=0.12, show_default=True, help="Sideways offset [L_gb].")
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@options(DEVICE)
+@json_option
 def command(
     length: float,
     stretch_ratio: float,
@@ -30,7 +26,6 @@ def command(
     rays: int,
     nudge: float,
     device: str,
-    as_json: bool,
 ) -> None:
     """Map the grips that lay a straight pattern, and test which optimal grasps are stable.
 
@@ -38,20 +33,15 @@ def command(
     (manifold.png), the optimal grasps under growing nudges (nudges.png), and the numbers
     (manifold.npz).
     """
-    from tqdm import tqdm
-
     from wrod.errors import GraspError
     from wrod.grasps.manifold.map import force_map, save_map
     from wrod.grasps.manifold.picture import draw_map, draw_nudges
 
-    if rays < 5:
-        raise GraspError(f"--rays is {rays}; use at least 5")
     if not 0.0 < nudge < length:
         raise GraspError(f"--nudge is {nudge:g}; give an offset between 0 and --length")
     work = cost.manifold(2 * rays**2, rays, device=device)
-    what = f"a map of {rays} rays"
-    cost.settle(work, what, out, "give fewer --rays", quiet=as_json)
-    with tqdm(total=4, leave=False, disable=as_json, bar_format="{desc}: {n}/{total} {bar}") as bar:
+    cost.settle(work, f"a map of {rays} rays", "give fewer --rays")
+    with cost.progress_bar(total=4, bar_format="{desc}: {n}/{total} {bar}") as bar:
 
         def progress(stage: str) -> None:
             bar.set_description(stage)
@@ -72,11 +62,7 @@ def command(
         save_map(out / "manifold.npz", manifold),
     ]
     figures = {**_figures(manifold), "written": [str(path) for path in written]}
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(_summary(figures))
-    for path in written:
-        click.echo(f"wrote {path}")
+    tell(figures, _summary(figures))
 
 
 def _figures(manifold) -> dict:

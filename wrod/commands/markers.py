@@ -1,9 +1,10 @@
 """`wrod markers`: the sheet of markers to print, which gives photographs their scale."""
 
-import json
 from pathlib import Path
 
 import click
+
+from wrod.telling import json_option, tell
 
 
 @click.command(
@@ -15,8 +16,8 @@ import click
 @click.option("--side", default=0.024, show_default=True, help="Of a marker [m].")
 @click.option("--margin", default=0.008, show_default=True, help="White edge of the sheet [m].")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(paper: str, side: float, margin: float, out: Path, as_json: bool) -> None:
+@json_option
+def command(paper: str, side: float, margin: float, out: Path) -> None:
     """Write a sheet of four ArUco markers to print, and the layout that photographs are read by.
 
     Draw on the printed sheet, or lay it beside what is photographed; then
@@ -31,14 +32,9 @@ def command(paper: str, side: float, margin: float, out: Path, as_json: bool) ->
         size = (width, height)
     sheet = MarkerSheet(size, side, margin)
     written = sheet.save(out)
-    if as_json:
-        figures = sheet.layout() | {"span": sheet.span, "written": [str(path) for path in written]}
-        click.echo(json.dumps(figures, indent=2))
-        return
-    click.echo(
+    tell(
+        sheet.layout() | {"span": sheet.span, "written": [str(path) for path in written]},
         f"four markers of {1e3 * side:g} mm on {1e3 * size[0]:g} x {1e3 * size[1]:g} mm; print "
         "markers.pdf at 100 %: outer edges of two markers side by side are then "
-        f"{1e3 * sheet.span:.1f} mm apart"
+        f"{1e3 * sheet.span:.1f} mm apart",
     )
-    for path in written:
-        click.echo(f"wrote {path}")

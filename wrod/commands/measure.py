@@ -6,7 +6,7 @@ import click
 
 from wrod.arguments import refuse_idle_options
 from wrod.commands.options import PICTURE, UNITS, PatternOptions, gathered
-from wrod.machine import printed_as_json
+from wrod.telling import asked, json_option, tell
 
 
 @click.command(
@@ -25,7 +25,7 @@ from wrod.machine import printed_as_json
     type=click.Path(dir_okay=False, path_type=Path),
     help="Rod file (.json) to write; `wrod plan --rod` reads it.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     curve: str | None,
     overhang: float | None,
@@ -36,7 +36,6 @@ def command(
     density: float,
     picture: PatternOptions,
     out: Path | None,
-    as_json: bool,
 ) -> None:
     """Measure a rod's gravito-bending length with a ruler or a photograph.
 
@@ -66,9 +65,6 @@ def command(
     else:
         found, way = _of_overhang(overhang, fall, reading, picture), "overhanging end"
     rod = RodMaterial(radius, found.gravito_bending_length, length, density=density)
-    written = []
-    if out is not None:
-        written = [str(save_rod(rod, out))]
     # The stiffness goes with the cube of the length.
     share = 3.0 * found.error / found.gravito_bending_length
     figures = {
@@ -78,22 +74,17 @@ def command(
         "bending_stiffness": rod.bending_stiffness,
         "bending_stiffness_error": share * rod.bending_stiffness,
         "warning": found.warning,
-        "written": written,
+        "written": [] if out is None else [str(save_rod(rod, out))],
     }
-    if printed_as_json(figures, as_json):
-        return
-    click.echo(
+    tell(
+        figures,
         f"gravito-bending length  {100 * found.gravito_bending_length:.3f} "
-        f"± {100 * found.error:.3f} cm ({way})"
-    )
-    click.echo(
+        f"± {100 * found.error:.3f} cm ({way})",
         f"bending stiffness       {rod.bending_stiffness:.3g} ± {share * rod.bending_stiffness:.1g}"
-        f" N m^2, with a density of {density:g} kg/m^3"
+        f" N m^2, with a density of {density:g} kg/m^3",
     )
-    if found.warning:
+    if found.warning and not asked("json"):
         click.echo(f"wrod: warning: {found.warning}", err=True)
-    for path in written:
-        click.echo(f"wrote {path}")
 
 
 def _of_overhang(overhang: float | None, fall: float | None, reading: float, picture):

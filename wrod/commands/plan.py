@@ -1,6 +1,5 @@
 """`wrod plan PATTERN`: the trajectory of the grip as files and as a picture."""
 
-import json
 import math
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -38,6 +37,7 @@ from wrod.commands.plan_summary import read_friction, read_range, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
 from wrod.commands.running import draw_beside
 from wrod.errors import PatternError
+from wrod.telling import json_option, tell
 
 _GRASPS = (
     *METHOD,
@@ -142,7 +142,7 @@ class _GraspRequest:
         """Of the table, if one is known."""
         return None if self.friction_text is None else read_friction(self.friction_text)
 
-    def begin(self, curve, rod, friction, device: str | None, quiet: bool) -> None:
+    def begin(self, curve, rod, friction, device: str | None) -> None:
         """Begin to compile what the rod solver needs, while the rest is planned, and say how long
         it takes to correct the plan for its table: of a range of paces three are tried, and rods
         that may roll take longer, as do long patterns and long rods."""
@@ -157,11 +157,9 @@ class _GraspRequest:
         laid = curve.length + curve.remainder_length
         size = laid * rod.length / (_CORRECTED[0] * _CORRECTED[1])
         work = cost.Cost(cost.CORRECTED_PLAN * plans * size)
-        cost.settle(work, "the plan, corrected for its table", None, "", quiet=quiet)
+        cost.settle(work, "the plan, corrected for its table")
 
-    def expecting(
-        self, curve, rod, trajectory, friction, device: str | None, quiet: bool, beside: bool
-    ):
+    def expecting(self, curve, rod, trajectory, friction, device: str | None, beside: bool):
         """A context in which what is expected of a trajectory is found out, where it is wanted and
         not known yet; see `wrod.commands.plan_expected.expecting`."""
         wanted = self.expects or (friction is not None and self.method == "intuitive")
@@ -169,7 +167,7 @@ class _GraspRequest:
             return nullcontext(lambda: False)
         from wrod.commands.plan_expected import expecting
 
-        return expecting(curve, rod, trajectory, friction, device, quiet, beside=beside)
+        return expecting(curve, rod, trajectory, friction, device, beside=beside)
 
 
 @click.command(name="plan")
@@ -181,7 +179,7 @@ class _GraspRequest:
 @gathered("shaping", Shaping, SHAPE)
 @gathered("request", RobotRequest, ROBOT)
 @options(DEVICE)
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     pattern: str,
     rod_options: RodOptions,
@@ -191,7 +189,6 @@ def command(
     shaping: Shaping,
     request: RobotRequest,
     device: str,
-    as_json: bool,
 ) -> None:
     """Plan how the grip moves to lay a rod along PATTERN.
 
@@ -225,11 +222,11 @@ def command(
                 said = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
                 raise PatternError(f"{error}; {said}") from None
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
-        grasps.begin(curve, fitted.rod, friction, chosen, as_json)
+        grasps.begin(curve, fitted.rod, friction, chosen)
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
         turned = how["spin"] if spin is None else math.radians(spin)
         trajectory = solve_grasps_of(
-            curve, fitted.rod, as_json or tried, roll=read_roll(grasps.roll_text, fitted.rod),
+            curve, fitted.rod, roll=read_roll(grasps.roll_text, fitted.rod),
             device=chosen, friction=friction, **{**how, "remainder": False, "spin": turned},
         )  # fmt: skip
         return fitted, curve, trajectory
@@ -238,7 +235,7 @@ def command(
     fitted, curve, trajectory = planned(shaping, friction)
     joint_path, reason = None, None
     beside = not request.no_robot
-    with grasps.expecting(curve, fitted.rod, trajectory, friction, chosen, as_json, beside) as wait:
+    with grasps.expecting(curve, fitted.rod, trajectory, friction, chosen, beside) as wait:
         written = save_plan(out, curve, trajectory)
 
         def expected():
@@ -252,15 +249,15 @@ def command(
         if not request.no_robot:
             corrected = (trajectory.optimised or {}).get("kept", False)
             joint_path, reason, more, followed = arm_steps(
-                request, out, trajectory, curve, fitted.rod, as_json, planned, shaping, expected,
+                request, out, trajectory, curve, fitted.rod, planned, shaping, expected,
                 softer if corrected else None,
             )  # fmt: skip
             if followed is not trajectory:
                 trajectory = followed
                 save_plan(out, curve, trajectory)
             written += more
-    _say(_figures(trajectory, fitted, joint_path, reason, written), as_json)
-    if reason is None and request.view:
+    _say(_figures(trajectory, fitted, joint_path, reason, written))
+    if request.view:
         _view(out / "scene.usdc")
 
 
@@ -285,14 +282,9 @@ def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[P
     }
 
 
-def _say(figures: dict, as_json: bool) -> None:
+def _say(figures: dict) -> None:
     """Print them; without a joint path the command ends here."""
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
-    else:
-        click.echo(summary(figures))
-        for path in figures["written"]:
-            click.echo(f"wrote {path}")
+    tell(figures, summary(figures))
     if figures["no_joint_path"] is not None:
         click.echo(f"wrod: {figures['no_joint_path']}", err=True)
         click.get_current_context().exit(NO_JOINT_PATH)

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from threading import Event
 
+from wrod import cost
 from wrod.machine import usable_cores
 
 
@@ -15,7 +16,7 @@ class _NotWantedError(Exception):
 
 @contextmanager
 def expecting(
-    curve, rod, trajectory, friction, device: str | None, quiet: bool, *, beside: bool
+    curve, rod, trajectory, friction, device: str | None, *, beside: bool
 ) -> Iterator[Callable[[], bool]]:
     """Lay a plan in simulation and put what is to be expected of it into its metadata: a warning
     and None where it cannot be laid.
@@ -35,7 +36,11 @@ def expecting(
         return foresee(curve, rod, trajectory, friction, device=device, watch=watch)
 
     if not (beside and usable_cores() > 1 and resolve_device(device) == "cpu"):
-        with _shown(quiet) as watch:
+        with cost.progress_bar(unit="s", delay=1.0, desc="laying it in simulation") as bar:
+
+            def watch(times) -> None:
+                bar.update(float(times.min()) - bar.n)
+
             _put(trajectory, lambda: lay(watch))
         yield lambda: False
         return
@@ -58,17 +63,6 @@ def expecting(
             yield wait
         finally:
             unwanted.set()
-
-
-@contextmanager
-def _shown(quiet: bool) -> Iterator[Callable]:
-    """Show how long rods have been laid; yields what is told of their times [s]."""
-    from tqdm import tqdm
-
-    with tqdm(
-        unit="s", leave=False, delay=1.0, desc="laying it in simulation", disable=quiet or None
-    ) as bar:
-        yield lambda times: bar.update(float(times.min()) - bar.n)
 
 
 def _put(trajectory, expected: Callable[[], dict]) -> None:

@@ -6,27 +6,22 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from wrod import cost
+
 NO_JOINT_PATH = 3  # exit code: the plan stands, the arm cannot follow it
 # Of a correction for a table, where an arm cannot follow all of it.
 _SHARE = 0.5
 
 
 def solve_grasps_of(
-    curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, pace=None,
-    **options,
-):  # fmt: skip
+    curve, rod, *, method: str, device, shapes: bool, friction=None, pace=None, **options
+):
     """The trajectory, with the rod's shapes where they are wanted."""
-    from tqdm import tqdm
-
     from wrod.deployment.plan import plan
     from wrod.planning.shapes import with_shapes
 
-    with tqdm(unit="grasp", leave=False, delay=1.0, desc="grasps", disable=quiet or None) as bar:
-
-        def progress(count: int, total: int) -> None:
-            bar.total = total
-            bar.update(count)
-
+    with cost.progress_bar(unit="grasp", delay=1.0, desc="grasps") as bar:
+        progress = cost.counting(bar)
         trajectory = plan(
             curve, rod, method, device=device, progress=progress,
             friction=None if method == "intuitive" else friction,
@@ -106,9 +101,7 @@ def _writing(out: Path) -> Iterator[None]:
         raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
 
 
-def arm_steps(
-    request, out: Path, trajectory, curve, rod, quiet: bool, planned, shaping, expected, softer=None
-):
+def arm_steps(request, out: Path, trajectory, curve, rod, planned, shaping, expected, softer=None):
     """Joint path and scene, or the reason why there is none, with what would help.
 
     Args:
@@ -123,14 +116,13 @@ def arm_steps(
         The `JointPath` or None, the reason or None, the files written, and the trajectory followed.
     """
     import click
-    from tqdm import tqdm
 
     from wrod.errors import RobotError
     from wrod.robot.remedy import draw_reach
     from wrod.robot.solve import UnreachedError
     from wrod.scene.deliver import deliver
 
-    with tqdm(total=5, unit="step", leave=False, delay=1.0, disable=quiet or None) as steps:
+    with cost.progress_bar(total=5, unit="step", delay=1.0) as steps:
 
         def step(what: str) -> None:
             steps.set_description(what)
@@ -289,7 +281,8 @@ def again(**changes) -> str:
     words, given = ["wrod", str(context.info_name)], []
     for param in context.command.params:
         name = str(param.name)
-        value = changes.get(name, context.params.get(name))
+        # What is not among them is a flag, such as --json, that its command knows otherwise.
+        value = changes.get(name, context.params.get(name, True))
         on_line = context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
         if isinstance(param, click.Argument):
             given.append(str(value))

@@ -40,7 +40,6 @@ def command(
     moments: bool,
     size: tuple[int, int],
     hide: tuple[str, ...],
-    force: bool,
 ) -> None:
     """Draw SCENE, a USD stage, without a display.
 
@@ -65,8 +64,8 @@ def command(
     count = frames if frames is not None else (1 if out.suffix else 24)
     if not (page or moments):
         cost.settle(
-            cost.pictures(count, *size), f"{count} pictures of {size[0]} x {size[1]} pixels", out,
-            "give a smaller --size or fewer --frames", force=force,
+            cost.pictures(count, *size), f"{count} pictures of {size[0]} x {size[1]} pixels",
+            "give a smaller --size or fewer --frames",
         )  # fmt: skip
     with cost.progress_bar(unit="frame") as bar:
 

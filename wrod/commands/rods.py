@@ -4,10 +4,12 @@ import json
 
 import click
 
+from wrod.telling import asked, json_option
+
 
 @click.command(name="rods", short_help="List the rods, cables and ropes that --rod knows.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(as_json: bool) -> None:
+@json_option
+def command() -> None:
     """List rods, cables and ropes that --rod knows, with their stiffness, its spread and source.
 
     A cable of your own is measured in minutes: see `wrod loop` and `wrod measure`.
@@ -15,7 +17,7 @@ def command(as_json: bool) -> None:
     from wrod.rods.catalogue import catalogue
 
     entries = catalogue()
-    if as_json:
+    if asked("json"):
         rows = [
             {
                 "name": entry.name, "what": entry.what, "radius": entry.rod.radius,

@@ -9,6 +9,7 @@ import click
 from wrod import cost
 from wrod.arguments import refuse_idle_options
 from wrod.commands.options import gathered, parse_numbers, parse_start
+from wrod.telling import asked, json_option
 
 _READING = (
     click.option("--mask", is_flag=True, help="The pictures are masks, white on black."),
@@ -77,7 +78,7 @@ class _Reading:
 @click.option("--several", is_flag=True, help="Allow several curves in a metric picture.")
 @click.option("--overlay/--no-overlay", default=True, help="Write a picture of what was found.")
 @cost.force_option
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     images: tuple[Path, ...],
     out: Path,
@@ -85,8 +86,6 @@ def command(
     start: str,
     several: bool,
     overlay: bool,
-    as_json: bool,
-    force: bool,
 ) -> None:
     """Write STEM.npz and STEM-overlay.png for each picture.
 
@@ -109,18 +108,18 @@ def command(
     pixels = sum(map(picture_pixels, images))
     cost.settle(
         cost.Cost(pixels * cost.TRACED_PIXEL, 60.0 * pixels / len(images)),
-        f"{len(images)} pictures", out, "scale them down", force=force, quiet=as_json,
+        f"{len(images)} pictures", "scale them down",
     )  # fmt: skip
-    for image in cost.progress_bar(images, unit="picture", quiet=as_json):
+    for image in cost.progress_bar(images, unit="picture"):
         try:
             row = _scan(image, out, how, begin, several, overlay)
         except PerceptionError as error:
             failures.append(str(error) if str(image) in str(error) else f"{image}: {error}")
             continue  # one bad picture must not cost the others
         rows.append(row)
-        if not as_json:
+        if not asked("json"):
             tqdm.write(_summary(row))
-    if as_json:
+    if asked("json"):
         click.echo(json.dumps(rows, indent=2))
     if failures:
         raise PerceptionError("\nwrod: ".join(failures))

@@ -14,7 +14,7 @@ from wrod.commands.options import (
     RodOptions,
     gathered,
 )
-from wrod.machine import printed_as_json
+from wrod.telling import json_option, tell
 
 
 @click.command(name="show", short_help="Say what PATTERN is: its length, size and bends.")
@@ -24,7 +24,7 @@ from wrod.machine import printed_as_json
 @click.option("--resize", type=float, help="Draw the pattern this many times as large.")
 @click.option("--tolerance", default=0.01, show_default=True, help="Of rounded corners [m].")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="A picture (PNG).")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     pattern: str,
     rod_options: RodOptions,
@@ -32,7 +32,6 @@ def command(
     resize: float | None,
     tolerance: float,
     out: Path | None,
-    as_json: bool,
 ) -> None:
     """Say what PATTERN is: length, size, curvature, how far it leaves its points.
 
@@ -71,18 +70,15 @@ def command(
     }
     if out is not None:
         _draw(out, curve, position, figures)
-    if printed_as_json(figures, as_json):
-        return
     width, height = figures["size"]
-    click.echo(
+    tell(
+        figures,
         f"{curve.name}: {curve.length:.3f} m long, {width:.3f} x {height:.3f} m, largest curvature "
         f"{figures['largest_curvature']:.1f} 1/m; leaves its points by "
-        f"{1e3 * figures['departure_from_points']:.1f} mm at most"
+        f"{1e3 * figures['departure_from_points']:.1f} mm at most",
+        *(f"note: {note}" for note in notes),
+        *[f"wrote {out}"] * (out is not None),
     )
-    for note in notes:
-        click.echo(f"note: {note}")
-    if out is not None:
-        click.echo(f"wrote {out}")
 
 
 def _draw(out: Path, curve, position, figures: dict) -> None:

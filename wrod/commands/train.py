@@ -1,12 +1,12 @@
 """`wrod train`: a controller from a dataset, or from nothing with --generate."""
 
-import json
 import sys
 from pathlib import Path
 
 import click
 
 from wrod import cost
+from wrod.telling import asked, json_option, tell
 
 
 @click.command(name="train", short_help="Train a controller and score it.")
@@ -44,7 +44,7 @@ from wrod import cost
 )
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @cost.force_option
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@json_option
 def command(
     dataset: Path | None,
     generate: int | None,
@@ -54,8 +54,6 @@ def command(
     rows: int | None,
     test: int,
     device: str,
-    as_json: bool,
-    force: bool,
     **settings,
 ) -> None:
     """Train the neural controller and score it against the numeric solver.
@@ -80,14 +78,13 @@ def command(
     device = resolve_device(device)
     cost.settle(
         _cost(recipe, generate, rows, minutes, test, device),
-        f"{recipe.steps} steps of {recipe.batch} grasps", out,
-        "give fewer --steps or --test, a smaller --batch or --width, or --minutes", force=force,
-        quiet=as_json,
+        f"{recipe.steps} steps of {recipe.batch} grasps",
+        "give fewer --steps or --test, a smaller --batch or --width, or --minutes",
     )  # fmt: skip
     refine = 0
     if generate is not None:
         refine = generate // 5
-        dataset = _generate(out / "dataset", generate - refine, seed, device, as_json)
+        dataset = _generate(out / "dataset", generate - refine, seed, device)
     table = load(dataset, rows)
     training = Training(
         recipe,
@@ -100,7 +97,7 @@ def command(
         rod=rod,
     )
     resumed = training.resume()
-    _train(training, out, resumed, minutes, as_json)
+    _train(training, out, resumed, minutes)
     controller = finished(
         training, dataset, test=test, seed=seed, device=device,
         # With --generate, the dataset is part of the one command.
@@ -111,8 +108,8 @@ def command(
     written = _write(controller, training, summary, out)
     summary["resumed"] = resumed
     summary["written"] = [str(path) for path in written]
-    if as_json:
-        click.echo(json.dumps(summary, indent=2))
+    if asked("json"):
+        tell(summary)
     else:
         _say(training, summary)
 
@@ -172,9 +169,9 @@ def _cost(
     return replace(whole, seconds=whole.seconds + solved.seconds, disk=whole.disk + solved.disk)
 
 
-def _train(training, out: Path, resumed: bool, minutes: float | None, quiet: bool) -> None:
+def _train(training, out: Path, resumed: bool, minutes: float | None) -> None:
     total = training.recipe.steps
-    with cost.progress_bar(unit="step", initial=training.step, total=total, quiet=quiet) as bar:
+    with cost.progress_bar(unit="step", initial=training.step, total=total) as bar:
 
         def progress(done: int, total: int, error: float) -> None:
             bar.set_postfix(validation_mae=f"{error:.2e}")
@@ -212,16 +209,11 @@ def _say(training, summary: dict) -> None:
         click.echo(f"wrote {path}")
 
 
-def _generate(folder: Path, size: int, seed: int, device: str, quiet: bool) -> Path:
+def _generate(folder: Path, size: int, seed: int, device: str) -> Path:
     from wrod.training.dataset import generate
 
-    with cost.progress_bar(unit="grasp", desc="grasps", total=size, quiet=quiet) as bar:
-
-        def progress(count: int, total: int) -> None:
-            bar.total = total
-            bar.update(count)
-
-        generate(folder, size, seed=seed, device=device, progress=progress)
+    with cost.progress_bar(unit="grasp", desc="grasps", total=size) as bar:
+        generate(folder, size, seed=seed, device=device, progress=cost.counting(bar))
     return folder
 
 

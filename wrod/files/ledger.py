@@ -1,7 +1,7 @@
 """The file of a campaign: one finished trial a line, so that a stopped run goes on."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -19,7 +19,7 @@ class Ledger:
     """A file of one finished trial a line; what a killed run wrote is there for the next.
 
     Args:
-        path: the file.
+        path: the file; None: nothing is kept.
         settings: what all trials have in common; a file that was begun with others is refused.
         keys: the fields of a row that tell which trial it is.
         fields: schema of a row, of `wrod.files.schemas`, or what tells it of a row.
@@ -31,7 +31,7 @@ class Ledger:
 
     def __init__(
         self,
-        path: Path,
+        path: Path | None,
         settings: dict,
         keys: Sequence[str],
         title: str = "campaign",
@@ -40,7 +40,7 @@ class Ledger:
         self.path, self.keys, self.rows = path, tuple(keys), []
         head = {"format": f"wrod-{title}-1", **settings}
         self._head = head
-        if not path.exists():  # it begins with the first trial
+        if path is None or not path.exists():  # it begins with the first trial
             return
         lines = read_text(path, "a campaign's file", limit=_MOST_BYTES).split("\n")
         whole, broken = lines[:-1], lines[-1]  # a killed run may leave half a line
@@ -68,11 +68,15 @@ class Ledger:
     def key(self, row: dict) -> tuple:
         return tuple(row[key] for key in self.keys)
 
-    def done(self) -> set[tuple]:
-        return {self.key(row) for row in self.rows}
+    def lacking(self, keys: Iterable[tuple]) -> list[tuple]:
+        """Those of some trials that are not finished, in their order."""
+        done = {self.key(row) for row in self.rows}
+        return [key for key in keys if key not in done]
 
     def add(self, rows: list[dict]) -> None:
         self.rows += rows
+        if self.path is None:
+            return
         if not self.path.exists():  # new, or removed meanwhile: what was finished is known here
             lines = [self._head, *self.rows]
             write_atomically(
@@ -83,7 +87,7 @@ class Ledger:
             file.writelines(json.dumps(row) + "\n" for row in rows)
         grown(self.path)
 
-    def of(self, keys: Sequence[tuple]) -> list[dict]:
+    def of(self, keys: Iterable[tuple]) -> list[dict]:
         """The rows of these trials, in the order in which the trials are given."""
         by_key = {self.key(row): row for row in self.rows}
         return [by_key[key] for key in keys if key in by_key]
