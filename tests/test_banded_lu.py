@@ -16,13 +16,12 @@ def test_solutions_are_those_of_the_whole_matrix(nodes):
     coupling = rng.standard_normal((2, nodes, 3, 3))
     free = (rng.random((2, n)) > 0.2).astype(np.int32)
     x = rng.standard_normal((2, n, 8))
-    arrays = [
-        wp.array(hessian, dtype=wp.float64, device="cpu"),
-        wp.array(coupling, dtype=wp.mat33d, device="cpu"),
-    ]
+    whole = banded_lu.NodeCoupled()
+    whole.hessian = wp.array(hessian, dtype=wp.float64, device="cpu")
+    whole.coupling = wp.array(coupling, dtype=wp.mat33d, device="cpu")
     rods = wp.ones(2, dtype=wp.int32, device="cpu")
     factor = wp.zeros((2, n, banded_lu.BAND), dtype=wp.float64, device="cpu")
-    given = [rods, wp.array(free, device="cpu"), *arrays]
+    given = [rods, wp.array(free, device="cpu"), whole]
     wp.launch(banded_lu.assemble, (2, n), inputs=given, outputs=[factor], device="cpu")
     wp.launch(banded_lu.factorise, (2, 1), inputs=[rods], outputs=[factor], device="cpu")
     matrix = np.zeros((2, n, n))

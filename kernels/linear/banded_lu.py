@@ -19,44 +19,54 @@ BAND = wp.constant(2 * 10 + 1)
 ALONE = wp.types.vector(length=1, dtype=wp.float64)
 
 
+@wp.struct
+class NodeCoupled:
+    """A Hessian (rod, dof, 11) and what is added to it in each node's block (rod, node)."""
+
+    hessian: wp.array3d(dtype=wp.float64)
+    coupling: wp.array2d(dtype=wp.mat33d)
+
+
 @wp.func
-def jacobian_entry(
-    hessian: wp.array3d(dtype=wp.float64),
-    coupling: wp.array2d(dtype=wp.mat33d),
-    r: int,
-    a: int,
-    b: int,
-) -> wp.float64:
-    value = hessian[r, wp.max(a, b), wp.abs(a - b)]
+def node_coupled_entry(m: NodeCoupled, r: int, a: int, b: int) -> wp.float64:
+    value = m.hessian[r, wp.max(a, b), wp.abs(a - b)]
     if a / 4 == b / 4 and a % 4 < 3 and b % 4 < 3:
-        value += coupling[r, a / 4][a % 4, b % 4]
+        value += m.coupling[r, a / 4][a % 4, b % 4]
     return value
 
 
-@wp.kernel
-def assemble(
-    # In:
-    active: wp.array(dtype=wp.int32),
-    free: wp.array2d(dtype=wp.int32),
-    hessian: wp.array3d(dtype=wp.float64),
-    coupling: wp.array2d(dtype=wp.mat33d),
-    # Out:
-    factor_out: wp.array3d(dtype=wp.float64),
-):
-    """The matrix, where `factorise` takes it from. Rows that are not free are those of the
-    identity; their columns are kept, which is how what is prescribed moves the rest."""
-    r, a = wp.tid()
-    if active[r] == 0:
-        return
-    n = hessian.shape[1]
-    for k in range(BAND):
-        b = a + k - HALF_BANDWIDTH
-        value = wp.float64(0.0)
-        if free[r, a] == 0:
-            value = wp.where(b == a, ONE, ZERO)
-        elif b >= 0 and b < n:
-            value = jacobian_entry(hessian, coupling, r, a, b)
-        factor_out[r, a, k] = value
+def make_assembly(matrix: type, entry: wp.Function) -> wp.Kernel:
+    """What writes a struct's matrix, whose `entry` (row, column) of a rod is asked for."""
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def assemble(
+        # In:
+        active: wp.array(dtype=wp.int32),
+        free: wp.array2d(dtype=wp.int32),
+        m: matrix,
+        # Out:
+        factor_out: wp.array3d(dtype=wp.float64),
+    ):
+        """The matrix, where `factorise` takes it from. Rows that are not free are those of the
+        identity; their columns are kept, which is how what is prescribed moves the rest. Launched
+        over (rod, dof)."""
+        r, a = wp.tid()
+        if active[r] == 0:
+            return
+        n = free.shape[1]
+        for k in range(BAND):
+            b = a + k - HALF_BANDWIDTH
+            value = wp.float64(0.0)
+            if free[r, a] == 0:
+                value = wp.where(b == a, ONE, ZERO)
+            elif b >= 0 and b < n:
+                value = entry(m, r, a, b)
+            factor_out[r, a, k] = value
+
+    return assemble
+
+
+assemble = make_assembly(NodeCoupled, node_coupled_entry)
 
 
 # A window of 42 rows, 32 whose pivots are due and the 10 below them, goes down the matrix. Row `at`

@@ -20,7 +20,7 @@ along both at once, where inertia leaves a moment about the edge.
 import warp as wp
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ONE, TWO, ZERO, edge, node
-from wrod.kernels.linear.banded_lu import ALONE, BAND, substitute_lanes
+from wrod.kernels.linear.banded_lu import ALONE, make_assembly, substitute_lanes
 from wrod.kernels.stepping.dynamics import difference, drag_matrix, rate
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
@@ -107,39 +107,44 @@ def load_wanted(
             x_out[r, 0, a] = ALONE(wp.where(free[r, a] != 0, value, ZERO))
 
 
+@wp.struct
+class StepMatrix:
+    """A_n^T: the Hessian, and what makes it unsymmetric; see `weigh_spins`, and
+    `wrod.kernels.contact.plane_adjoint` for `coupling`, which may have no columns."""
+
+    hessian: wp.array3d(dtype=wp.float64)
+    spin_inertia: wp.array2d(dtype=wp.float64)
+    moment: wp.array2d(dtype=wp.vec3d)
+    by_end: wp.array2d(dtype=wp.vec3d)
+    coupling: wp.array2d(dtype=wp.mat33d)
+
+
 @wp.func
-def entry(
-    hessian: wp.array3d(dtype=wp.float64),
-    spin_inertia: wp.array2d(dtype=wp.float64),
-    moment: wp.array2d(dtype=wp.vec3d),
-    by_end: wp.array2d(dtype=wp.vec3d),
-    coupling: wp.array2d(dtype=wp.mat33d),
-    r: int,
-    a: int,
-    b: int,
-) -> wp.float64:
-    """A_n^T[a, b]; see `weigh_spins`, and `wrod.kernels.contact.plane_adjoint` for `coupling`."""
-    value = hessian[r, wp.max(a, b), wp.abs(a - b)]
+def entry(m: StepMatrix, r: int, a: int, b: int) -> wp.float64:
+    value = m.hessian[r, wp.max(a, b), wp.abs(a - b)]
     if a % 4 < 3 and b % 4 < 3 and wp.abs(a / 4 - b / 4) < 2:
         around = wp.vec3d(ZERO, ZERO, ZERO)
         i = wp.min(a, b) / 4
         if a / 4 != b / 4:
-            around -= moment[r, i]
+            around -= m.moment[r, i]
         else:
             if i > 0:
-                around += moment[r, i - 1]
-            if i < moment.shape[1]:
-                around += moment[r, i]
-            if coupling.shape[1] > 0:
-                value += coupling[r, i][b % 4, a % 4]
+                around += m.moment[r, i - 1]
+            if i < m.moment.shape[1]:
+                around += m.moment[r, i]
+            if m.coupling.shape[1] > 0:
+                value += m.coupling[r, i][b % 4, a % 4]
         value += wp.skew(around)[a % 4, b % 4]
     if a % 4 < 3 and b % 4 == 3:
         e = b / 4
         if a / 4 == e:
-            value += spin_inertia[r, e] * by_end[r, e][a % 4]
+            value += m.spin_inertia[r, e] * m.by_end[r, e][a % 4]
         elif a / 4 == e + 1:
-            value -= spin_inertia[r, e] * by_end[r, e][a % 4]
+            value -= m.spin_inertia[r, e] * m.by_end[r, e][a % 4]
     return value
+
+
+assemble = make_assembly(StepMatrix, entry)
 
 
 @wp.kernel
@@ -173,35 +178,6 @@ def weigh_spins(
 
 
 @wp.kernel
-def assemble(
-    # In:
-    active: wp.array(dtype=wp.int32),
-    free: wp.array2d(dtype=wp.int32),
-    hessian: wp.array3d(dtype=wp.float64),
-    spin_inertia: wp.array2d(dtype=wp.float64),
-    moment: wp.array2d(dtype=wp.vec3d),
-    by_end: wp.array2d(dtype=wp.vec3d),
-    coupling: wp.array2d(dtype=wp.mat33d),
-    # Out:
-    factor_out: wp.array3d(dtype=wp.float64),
-):
-    """The matrix, where `banded_lu.factorise` takes it from; rows that are not free are those of
-    the identity. Launched over (rod, dof)."""
-    r, a = wp.tid()
-    if active[r] == 0:
-        return
-    n = hessian.shape[1]
-    for k in range(BAND):
-        b = a + k - HALF_BANDWIDTH
-        value = wp.float64(0.0)
-        if free[r, a] == 0:
-            value = wp.where(b == a, ONE, ZERO)
-        elif b >= 0 and b < n:
-            value = entry(hessian, spin_inertia, moment, by_end, coupling, r, a, b)
-        factor_out[r, a, k] = value
-
-
-@wp.kernel
 def solve(
     # In:
     active: wp.array(dtype=wp.int32),
@@ -226,11 +202,7 @@ def want_held(
     free: wp.array2d(dtype=wp.int32),
     # State in:
     active: wp.array(dtype=wp.int32),
-    hessian: wp.array3d(dtype=wp.float64),
-    spin_inertia: wp.array2d(dtype=wp.float64),
-    moment: wp.array2d(dtype=wp.vec3d),
-    by_end: wp.array2d(dtype=wp.vec3d),
-    coupling: wp.array2d(dtype=wp.mat33d),
+    m: StepMatrix,
     wanted: wp.array2d(dtype=wp.float64),
     x: wp.array3d(dtype=ALONE),
     # Out:
@@ -241,9 +213,9 @@ def want_held(
     value = ZERO
     if active[r] != 0 and free[r, a] == 0:
         value = wanted[r, a]
-        n = hessian.shape[1]
+        n = free.shape[1]
         for b in range(wp.max(a - HALF_BANDWIDTH, 0), wp.min(a + HALF_BANDWIDTH + 1, n)):
-            value -= entry(hessian, spin_inertia, moment, by_end, coupling, r, a, b) * x[r, 0, b][0]
+            value -= entry(m, r, a, b) * x[r, 0, b][0]
     held_out[r, a] = value
 
 

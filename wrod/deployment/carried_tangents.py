@@ -84,6 +84,8 @@ class Tangents:
         self.elastic, self.natural = (
             wp.zeros((rods, dofs), dtype=wp.float64, device=device) for _ in range(2)
         )
+        self.matrix = banded_lu.NodeCoupled()
+        self.matrix.hessian, self.matrix.coupling = batch.derivatives.hessian, self.coupling
         self.factor = wp.zeros((rods, dofs, banded_lu.BAND), dtype=wp.float64, device=device)
         self.roll = per_node(wp.float64)
         self.turned = zeros(nodes)
@@ -118,7 +120,7 @@ class Tangents:
         launch(
             banded_lu.assemble,
             (rods, dofs),
-            [accepted, batch.free, out.hessian, self.coupling],
+            [accepted, batch.free, self.matrix],
             [self.factor],
         )
         batch.launch_lanes(banded_lu.factorise, [accepted], [self.factor])

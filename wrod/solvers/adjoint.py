@@ -122,7 +122,13 @@ class StepAdjoint:
         self._planes = planes_of(dynamics)
         self._coupling = floats(0 if self._planes is None else nodes, dtype=wp.mat33d)
         self.by_friction = floats(self.now.bristle.shape[1])
-        self._unsymmetric = self._spin_inertia, self._moment, self._by_end, self._coupling
+        self._matrix = filled(
+            kernels.StepMatrix(),
+            dict(
+                hessian=self._at.hessian, spin_inertia=self._spin_inertia, moment=self._moment,
+                by_end=self._by_end, coupling=self._coupling,
+            ),
+        )  # fmt: skip
         self._factor = floats(dofs, banded_lu.BAND)
         self._x = wp.zeros((rods, 1, dofs), dtype=banded_lu.ALONE, device=device)
         self._held, self.held = floats(dofs), floats(dofs)
@@ -251,7 +257,7 @@ class StepAdjoint:
         batch.launch(
             kernels.assemble,
             (rods, dofs),
-            [step.active, batch.free, at.hessian, *self._unsymmetric],
+            [step.active, batch.free, self._matrix],
             [self._factor],
         )
         batch.launch_lanes(banded_lu.factorise, [step.active], [self._factor])
@@ -295,8 +301,7 @@ class StepAdjoint:
         batch.launch(
             kernels.want_held,
             (rods, dofs),
-            [batch.free, step.active, self._at.hessian, *self._unsymmetric]
-            + [self._wanted, self._x],
+            [batch.free, step.active, self._matrix, self._wanted, self._x],
             [self._held],
         )
         batch.launch(
