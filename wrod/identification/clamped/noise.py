@@ -300,12 +300,12 @@ class _Restricted:
         x, log_det = self._whitened(_along(size, share, length, self.arc_length))
         width = self.width
         own = x[:, :, : 1 + width]
-        gram = np.einsum("trp,trq->tpq", own, own)
+        gram = own.mT @ own
         if np.any(scatter):
             u = x[:, :, 1 + width :] * np.repeat(scatter, 3)
-            inner = np.eye(u.shape[2]) + np.einsum("trp,trq->tpq", u, u)
-            cross = np.einsum("trp,trq->tpq", u, own)
-            gram = gram - np.einsum("tpq,tpr->tqr", cross, np.linalg.solve(inner, cross))
+            inner = np.eye(u.shape[2]) + u.mT @ u
+            cross = u.mT @ own
+            gram = gram - cross.mT @ np.linalg.solve(inner, cross)
             log_det += float(np.linalg.slogdet(inner)[1].sum())
         gram = gram.sum(axis=0)
         square = gram[0, 0]
@@ -323,14 +323,16 @@ class _Restricted:
         markers = x[:, :c].reshape(trials, self.count, 3, -1)
         if self.full:
             factor = np.linalg.cholesky(along)
-            inverse = np.linalg.inv(factor)
-            x[:, :c] = np.einsum("ij,tjkp->tikp", inverse, markers).reshape(trials, c, -1)
+            apart = np.linalg.inv(factor) @ markers.reshape(trials, self.count, -1)
+            x[:, :c] = apart.reshape(trials, c, -1)
             return x, float(6.0 * trials * np.log(np.diag(factor)).sum())
         log_det = 0.0
         for t in range(trials):
             own = self.read[t, :c:3]
             factor = np.linalg.cholesky(along[np.ix_(own, own)])
             log_det += 6.0 * float(np.log(np.diag(factor)).sum())
-            markers[t][own] = np.einsum("ij,jkp->ikp", np.linalg.inv(factor), markers[t][own])
+            mine = markers[t][own]
+            apart = np.linalg.inv(factor) @ mine.reshape(len(mine), -1)
+            markers[t][own] = apart.reshape(mine.shape)
         x[:, :c] = markers.reshape(trials, c, -1)
         return x, log_det
