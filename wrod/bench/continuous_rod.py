@@ -18,7 +18,7 @@ import numpy as np
 from scipy.integrate import solve_bvp
 from scipy.spatial.transform import Rotation
 
-from wrod.bench.continuous_stability import conjugate_points
+from wrod.bench.continuous_stability import conjugate_points, cross
 from wrod.errors import DataError
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.loading import measurements_from_arrays
@@ -147,7 +147,7 @@ def frames_of(q: np.ndarray) -> np.ndarray:
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Product of quaternions (4, K)."""
     w = a[0] * b[0] - (a[1:] * b[1:]).sum(axis=0)
-    return np.concatenate([w[None], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:], axis=0)])
+    return np.concatenate([w[None], a[0] * b[1:] + b[0] * a[1:] + cross(a[1:], b[1:])])
 
 
 def excess_of(moment: np.ndarray, stiffness: np.ndarray, law: Callable | None, share: float):
@@ -226,7 +226,7 @@ def _solve(rod, experiment: Experiment, share: float, a, ra, b, rb, guess, toler
         zero = np.zeros_like(k[:1])
         spin = 0.5 * product(np.concatenate([zero, k]), y[3:7])
         # Keep the quaternion's length where it is.
-        return length * np.concatenate([dq, spin, -force, -np.cross(dq, n, axis=0)])
+        return length * np.concatenate([dq, spin, -force, -cross(dq, n)])
 
     qa = np.roll(Rotation.from_matrix(ra).as_quat(), 1)
     qb = np.roll(Rotation.from_matrix(rb).as_quat(), 1)
