@@ -17,7 +17,6 @@ from wrod.identification.clamped.scatter import only_scatter
 from wrod.identification.clamped.trace import trace
 from wrod.identification.effect import Model, effects
 
-
 drawn = cache(hidden_set)
 
 
