@@ -8,11 +8,13 @@ gone wrong, and that it can be laid better, the grip goes back, lifts it, and la
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from wrod import arguments
-from wrod.deployment.beliefs import Beliefs, beside
+from wrod.deployment.beliefs import Beliefs, Beside, doubted
 from wrod.deployment.expectation import misplacement
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.setup import Disturbance
@@ -53,6 +55,11 @@ _FIXED = 2
 # much then [m]; so many times at most.
 _WRONG, _LOOKED_AT, _BEGINS, _BEFORE = 4e-4, 0.1, 0.5, 0.05
 _GAIN, _MOST_TIMES = 2e-5, 8
+# And if it is likelier to be seen so than on the pattern, by twice the logarithm: three deviations
+# of the camera's noise.
+_BEYOND_NOISE = 9.0
+# Pictures of the first look, while the grip stands and what is held can still be put down anew.
+_PICTURES = 4
 
 
 @checked_fields(
@@ -141,8 +148,9 @@ def lay_with_feedback(
 ) -> Followed:
     """Lay a rod that differs from the one believed in, looking at it on the way.
 
-    The first look comes before the free end is let go: what is held is put down again where it
-    belongs, so that an offset of the robot that is seen then does no harm.
+    The first look, of some pictures, comes before the free end is let go: all is then begun anew,
+    the held end put down and the path corrected from there on for the rod that is believed in now,
+    so that an offset of the robot that is seen then does no harm.
 
     Args:
         pattern: with the remainder that the trajectory lays.
@@ -188,32 +196,42 @@ def following(
     """The deployments of `lay_with_feedback`, and what it returns."""
     sight = sight or Sight()
     rng = np.random.default_rng(sight.seed)
-    beliefs = Beliefs(pattern, rod, friction, hold)
+    beliefs, beside = Beliefs(pattern, rod, friction, hold), Beside()
     way = Way(trajectory)
 
     def really(path: Trajectory, **more) -> Course[Laid]:
         how = plant.disturbance
-        how = replace(how, offset=tuple(np.asarray(how.offset) + beliefs.placed))
+        offset = np.asarray(how.offset) + beliefs.placed[:2]
+        how = replace(how, offset=tuple(offset), yaw=how.yaw + beliefs.placed[2])
         trial = Trial(pattern, plant.rod, path, plant.friction, how, Tail.none(path))
         given = {"friction_field": plant.friction_field, **options, **more}
         (laid,) = yield Asked([trial], None, given)
         return laid
 
     s = trajectory.arc_length
-    gone = first = float(s[min(int(np.searchsorted(s, hold)) + _LEAST_POSES, len(s) - 1)])
-    looks: list[Look] = []
-    while gone == first or gone < way.end - 0.5 * every:
+    gone = float(s[min(int(np.searchsorted(s, hold)) + _LEAST_POSES, len(s) - 1)])
+    path, looks = way.until(gone).path, []
+    held: dict[str, Any] = {"release": gone + hold}
+    laid = yield from really(path, **held)
+    for picture in range(_PICTURES):
+        seen, still = Seen.of(laid, gone, sight, rng), picture > 0
+        misfit = yield from beliefs.update(gone, path, seen, still=still, **held)
+    if known:
+        beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
+    looks.append(_look(beliefs, path, gone, misfit, None))
+    way, beliefs.placed = yield from _Now(beliefs, way, gone, np.zeros(2), horizon).begun()
+    gone += every
+    while gone < way.end - 0.5 * every:
         path, at = way.until(gone).path, way.laid_at(gone)
-        held = {"release": at + hold} if gone == first else {}
-        seen = Seen.of((yield from really(path, **held)), at, sight, rng)
-        misfit = yield from beliefs.update(at, path, seen, **held)
+        seen = Seen.of((yield from really(path)), at, sight, rng)
+        misfit = yield from beliefs.update(at, path, seen)
         if known:
             beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
-        if gone == first:
-            beliefs.placed -= beliefs.offset
+        laid = yield from beliefs.lay(path)
+        now = _Now(beliefs, way, gone, beside.told(laid, at, seen, gone), horizon)
+        told = doubted(laid, pattern, at, seen) > _BEYOND_NOISE
         times = sum(look.back is not None for look in looks)
-        now = _Now(beliefs, way, gone, seen, horizon)
-        way, gone, back = yield from now.replanned(again and gone > first and times < _MOST_TIMES)
+        way, gone, back = yield from now.replanned(again and told and times < _MOST_TIMES)
         looks.append(_look(beliefs, path, at, misfit, back))
         gone += every
     return Followed(way.path, (yield from really(way.path)), looks)
@@ -221,63 +239,79 @@ def following(
 
 @dataclass(frozen=True)
 class _Now:
-    """A moment of a deployment: what is believed, the way, how much of it is gone [m], what is
-    seen, and how far ahead the path is corrected [L_gb]."""
+    """A moment of a deployment: what is believed, the way, how much of it is gone [m], how far what
+    lies near the contact is beside what is believed to (2,) [m], and how far ahead the path is
+    corrected [L_gb]."""
 
     beliefs: Beliefs
     way: Way
     gone: float
-    seen: Seen
+    aside: np.ndarray
     horizon: float
+
+    def begun(self) -> Course[tuple[Way, np.ndarray]]:
+        """The way of a deployment that is begun anew, and where the robot places all of it then
+        (3,) [m, rad]."""
+        beliefs = self.beliefs
+        beliefs.placed[:2] -= beliefs.offset
+        _, _, way, placed = yield from self._corrected(self.way, beliefs.hold, anew=True)
+        return way, placed
 
     def replanned(self, again: bool) -> Course[tuple[Way, float, float | None]]:
         """The way from now on; how much of it is gone where it begins to lay [m]; and the laid
         length to which it goes back, if it does [m]."""
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         at = self.way.laid_at(self.gone)
-        laid = yield from beliefs.lay(self.way.until(self.gone).path)
-        aside = beside(laid, at, self.seen)
-        before, after, way = yield from self._corrected(self.way, self.gone, aside)
+        before, after, way, _ = yield from self._corrected(self.way, self.gone)
         s = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
         lately = (s > at - _LOOKED_AT) & (s <= at)
         if not again or not lately.any() or before[lately].mean() < _WRONG:
             return way, self.gone, None
         begins = float(s[lately & (before > _BEGINS * _WRONG)][0]) - _BEFORE
         back, turn = self.way.back(self.gone, max(begins, beliefs.hold + _BEFORE))
-        _, better, back = yield from self._corrected(back, turn, aside)
+        _, better, back, _ = yield from self._corrected(back, turn)
         if not (after - better)[s <= at].sum() > _GAIN * METRIC_POINTS:
             return way, self.gone, None
         return back, turn, back.laid_at(turn)
 
     def _corrected(
-        self, way: Way, turn: float, aside: np.ndarray
-    ) -> Course[tuple[np.ndarray, np.ndarray, Way]]:
+        self, way: Way, turn: float, anew: bool = False
+    ) -> Course[tuple[np.ndarray, np.ndarray, Way, np.ndarray]]:
         """(50,) error that is expected along the pattern before and after [m], and the way
-        corrected from now on, at first without a step or a kink, which lays rod from `turn` on.
-        What lies near or beyond there comes to lie by `aside` (2,) beside what is believed [m]."""
+        corrected from now on, at first without a step or a kink, which lays rod from `turn` on;
+        or all of it `anew`, and where the robot then places it (3,) [m, rad]. What lies near or
+        beyond there comes to lie `aside` of what is believed."""
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         lgb = beliefs.rod.gravito_bending_length
         last, s = turn + self.horizon * lgb, way.laid_at(turn)
-        c = way.corrections(pattern, lgb, self.gone, last)
-        free = slice(3 * _FIXED, None)
+        c = way.corrections(pattern, lgb, turn if anew else self.gone, last)
+        fixed = 0 if anew else 3 * _FIXED
         near = way.until(last).laid
-        columns = Directions.of_path(c.columns()[free, : len(near)])
+        columns = Directions.of_path(c.columns()[fixed:, : len(near)])
         along = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
         there = np.tile(along <= near[-1], 2)
-        beyond = np.outer(aside, along > s - _LOOKED_AT).ravel()
-        cost = METRIC_POINTS * lgb**2 * c.cost(_SIZE, _ROUGHNESS)[free, free]
+        beyond = np.outer(self.aside, along > s - _LOOKED_AT).ravel()
+        # What a value of 1 shifts and turns of what is begun anew.
+        rigid = lgb * np.array([1.0, 1.0, 1.0 / last])[: 3 if anew else 0]
+        cost = c.cost(_SIZE, _ROUGHNESS)[fixed:, fixed:]
+        cost = METRIC_POINTS * lgb**2 * block_diag(cost, _SIZE * np.eye(len(rigid)))
 
-        def moved(values: np.ndarray) -> Way:
-            return Way(c.apply(np.concatenate([np.zeros(3 * _FIXED), values])), way.laid)
+        def moved(values: np.ndarray) -> tuple[Way, np.ndarray]:
+            placed = beliefs.placed.copy()
+            placed[: len(rigid)] += rigid * values[len(columns) :]
+            values = np.concatenate([np.zeros(fixed), values[: len(columns)]])
+            return Way(c.apply(values), way.laid), placed
 
         def at(values: np.ndarray) -> Course[_Point]:
-            laid = yield from beliefs.lay(moved(values).until(last).path, columns)
+            ahead, placed = moved(values)
+            laid = yield from beliefs.lay(ahead.until(last).path, columns, placed)
             error, rates = misplacement(pattern, laid)
+            rates = np.column_stack([rates, rigid * _rigid_rates(pattern, error)[:, : len(rigid)]])
             lost = laid.diverged or not np.isfinite(rates).all()
             error = (error + beyond) * there + (np.inf if lost else 0.0)
             return _Point(values, error, rates * there[:, None], cost)
 
-        first = now = yield from at(np.zeros(columns.path.shape[0]))
+        first = now = yield from at(np.zeros(len(cost)))
         radius = _STEP
         for _ in range(_STEPS if np.isfinite(now.value) else 0):
             step = now.step(radius, _DAMPING * METRIC_POINTS * lgb**2)
@@ -295,7 +329,17 @@ class _Now:
             elif length > 0.9 * radius:
                 radius *= _LONGER
         lost, left = (np.hypot(*one.error.reshape(2, -1)) for one in (first, now))
-        return lost, left, moved(now.values)
+        return lost, left, *moved(now.values)
+
+
+def _rigid_rates(pattern: Pattern, error: np.ndarray) -> np.ndarray:
+    """(2 x 50, 3) derivatives of what lies `error` (2 x 50,) [m] from the points of the metric by
+    shifts of all of it and by its turn about the pattern's beginning."""
+    s = np.linspace(0.0, pattern.length, METRIC_POINTS)
+    origin = pattern.sample(-pattern.remainder_length)[0][0, :2]
+    x, y = error.reshape(2, -1) + (pattern.sample(s)[0][:, :2] - origin).T
+    one, none = np.ones(METRIC_POINTS), np.zeros(METRIC_POINTS)
+    return np.column_stack([np.r_[one, none], np.r_[none, one], np.r_[-y, x]])
 
 
 @dataclass(frozen=True)
