@@ -6,7 +6,14 @@ from wrod.patterns.pattern import Pattern
 from wrod.patterns.shapes import SHAPES
 
 
-@arguments.checked(PatternError)
+def _is_name(value) -> str | None:
+    return arguments.text(value) and (
+        "must be the name of a built-in pattern; Pattern.from_points takes points, Pattern.load "
+        "a file"
+    )
+
+
+@arguments.checked(PatternError, name=_is_name)
 def pattern(name: str) -> Pattern:
     """Built-in pattern by name, such as "letter-A".
 
