@@ -249,12 +249,11 @@ def test_no_step_is_made_by_derivatives_that_ran_away(bend):
     np.testing.assert_array_equal(ended.value.value.position, trajectory.position)
 
 
-@pytest.mark.parametrize("share, reached", [(1.0, 1.05), (0.3, 0.7)])
-def test_a_step_that_kept_its_promise_is_followed_by_a_longer_one(share, reached):
+def _descended(share: float, lgb: float, ahead: bool = True):
     class Far:
         """Three numbers that had better be 2; of what that promises a share comes true."""
 
-        corrections = SimpleNamespace(count=1)
+        corrections = SimpleNamespace(count=1, lgb=lgb)
 
         def at(self, x):
             value = 6.0 - share * (6.0 - 0.5 * float(np.sum((x - 2.0) ** 2)))
@@ -262,10 +261,22 @@ def test_a_step_that_kept_its_promise_is_followed_by_a_longer_one(share, reached
             yield
 
     with pytest.raises(StopIteration) as ended:
-        next(_descend(Far(), ahead=True))
-    states, (last,) = ended.value.value
-    np.testing.assert_allclose(states[-1].values, 0.35)
-    np.testing.assert_allclose(last, reached)
+        next(_descend(Far(), ahead))
+    states, last = ended.value.value
+    return [float(x[0]) for x in (*(one.values for one in states), *last)]
+
+
+@pytest.mark.parametrize("share, reached", [(1.0, 1.05), (0.3, 0.7)])
+def test_a_step_that_kept_its_promise_is_followed_by_a_longer_one(share, reached):
+    np.testing.assert_allclose(_descended(share, 1.0)[:3], [0.0, 0.35, reached])
+
+
+def test_steps_go_on_only_where_they_save_much_and_much_is_left():
+    # Each is cut, and saves what it promises: what is left is laid until no step is cut.
+    np.testing.assert_allclose(_descended(1.0, 1.0), [0.0, 0.35, 1.05, 2.0])
+    # Each saves less than a fifth: the second, which was cut, is laid, and one more is the last.
+    np.testing.assert_allclose(_descended(0.3, 1.0), [0.0, 0.35, 0.7, 1.05])
+    np.testing.assert_allclose(_descended(0.3, 1.0, ahead=False), [0.0, 0.35, 0.7])
 
 
 def test_the_fastest_pace_is_taken_that_does_no_harm(bend):

@@ -50,8 +50,10 @@ _LIMIT = 1e2
 # part of what its model promised.
 _STEP, _SHORTER, _SHORTEST = 0.35, 0.4, 0.01
 _LONGER, _KEPT_PROMISE = 2.0, 0.5
-# Steps at most; further ones, on fine meshes too, save nothing that unseen rods feel.
-_STEPS = 2
+# Steps of a plan; further ones, up to so many, where the last but one saved this part of the error
+# and its model leaves more than so much of it [L_gb]: of less, on fine meshes too, unseen rods feel
+# nothing.
+_STEPS, _MORE, _SAVED, _MUCH = 2, 6, 0.2, 0.05
 # Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
 _TOLERANCE = 5e-3
 # Ranges of friction that call for more rods, by the largest over the least.
@@ -343,27 +345,31 @@ def _descend(problem: _Problem, ahead: bool) -> Course[tuple[list[_State], list[
     """Corrections from none on, each better than the last or tried in vain; with `ahead` the last
     of them is not laid but comes beside the others."""
     best = yield from problem.at(np.zeros(3 * problem.corrections.count))
-    states, radius = [best], _STEP
-    for k in range(_STEPS):
+    states, radius, last = [best], _STEP, False
+    for k in range(1, _MORE + 1):
         step = -np.linalg.solve(best.matrix, best.slope)
         length = float(np.abs(step).max())
         step *= min(1.0, radius / max(length, 1e-12))
-        if best.saved(step) < 1.0 - _DONE**2:
+        saved = best.saved(step)
+        if saved < 1.0 - _DONE**2:
             break
-        if ahead and k == _STEPS - 1:
+        left = best.measure * np.sqrt(max(1.0 - saved, 0.0)) / problem.corrections.lgb
+        last |= k == _MORE or (k >= _STEPS and left < _MUCH and length <= radius)
+        if ahead and last:
             return states, [best.values + step]
         tried = yield from problem.at(best.values + step)
         states.append(tried)
+        last |= k >= _STEPS and tried.measure > (1.0 - _SAVED) * best.measure
         if tried.measure < best.measure:
             enough = tried.measure > _DONE * best.measure
-            promised = best.saved(step) * best.value
+            promised = saved * best.value
             if length > radius and best.value - tried.value > _KEPT_PROMISE * promised:
                 radius *= _LONGER
             best = tried
-            if enough:
+            if enough or (last and not ahead):
                 break
         else:
             radius = _SHORTER * min(radius, length)
-            if not radius > _SHORTEST:
+            if (last and not ahead) or not radius > _SHORTEST:
                 break
     return states, []

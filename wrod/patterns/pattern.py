@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -324,7 +325,7 @@ class Pattern:
 
     def _redrawn(self, heading: PPoly, **changed) -> Pattern:
         """The pattern with another heading, and with what else is `changed`."""
-        kept = dict(
+        kept: dict[str, Any] = dict(
             origin=self._origin, name=self.name, source=self.source, height=self._height,
             points=self.points, noise=self.noise,
         )  # fmt: skip
