@@ -50,10 +50,10 @@ _LIMIT = 1e2
 # part of what its model promised.
 _STEP, _SHORTER, _SHORTEST = 0.35, 0.4, 0.01
 _LONGER, _KEPT_PROMISE = 2.0, 0.5
-# Steps of a plan; further ones, up to so many, where the last but one saved this part of the error
-# and its model leaves more than so much of it [L_gb]: of less, on fine meshes too, unseen rods feel
-# nothing.
-_STEPS, _MORE, _SAVED, _MUCH = 2, 6, 0.2, 0.05
+# Steps of a plan at least, and at most: further ones where the last but one saved this part of the
+# error. A step from so near [L_gb] is not laid by itself: what more steps save from there on, on
+# fine meshes too, unseen rods do not feel.
+_STEPS, _MORE, _SAVED, _NEAR = 2, 6, 0.2, 0.15
 # Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
 _TOLERANCE = 5e-3
 # Ranges of friction that call for more rods, by the largest over the least.
@@ -353,8 +353,8 @@ def _descend(problem: _Problem, ahead: bool) -> Course[tuple[list[_State], list[
         saved = best.saved(step)
         if saved < 1.0 - _DONE**2:
             break
-        left = best.measure * np.sqrt(max(1.0 - saved, 0.0)) / problem.corrections.lgb
-        last |= k == _MORE or (k >= _STEPS and left < _MUCH and length <= radius)
+        near = best.measure < _NEAR * problem.corrections.lgb
+        last |= k == _MORE or (k >= _STEPS and near)
         if ahead and last:
             return states, [best.values + step]
         tried = yield from problem.at(best.values + step)
