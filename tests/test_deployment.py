@@ -347,3 +347,17 @@ def test_a_table_whose_friction_varies_is_laid_on(plans):
     believed, weak, halved, mixed = lay(0.4, None), lay(0.2, None), lay(0.4, half), lay(0.4, ahead)
     np.testing.assert_allclose(halved.centerline, weak.centerline, atol=1e-9)
     assert believed.slip.sum() < mixed.slip.sum() < weak.slip.sum()
+
+
+def test_trajectories_of_another_pattern_or_rod_are_refused():
+    line, rod = wrod.pattern("line"), wrod.rod("green-vps")
+    path = wrod.plan(line, rod, "intuitive", spacing=0.02)
+    longer = replace(rod, length=0.95)
+    coarse = dict(speed=0.5, spacing=0.05, step=0.05)
+    with pytest.raises(PatternError, match="is of line"):
+        wrod.simulate_deployment(wrod.pattern("letter-U"), rod, path, **coarse)
+    with pytest.raises(RodError, match="whose length is"):
+        wrod.simulate_deployment(line, longer, path, **coarse)
+    meant = wrod.Trial(line, longer, path, wrod.Friction(0.6), another_rod=True)
+    (laid,) = wrod.simulate_deployments([meant], **coarse)
+    assert laid.arc_length[-1] == pytest.approx(0.95)

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from wrod import arguments
 from wrod.deployment.result import METRIC_POINTS, interpolation
-from wrod.deployment.simulate import Trial, with_remainder_of
+from wrod.deployment.simulate import Trial, refuse_other_plans, with_remainder_of
 from wrod.deployment.tangents import Directions, lay
 from wrod.errors import GraspError, RodError
 from wrod.grasps.optimal import solve_grasps
@@ -217,6 +217,8 @@ def lay_differentiable(
             trial has fixtures or lets the rod roll.
     """
     trials, n = list(trials), len(trials)
+    for trial in trials:
+        refuse_other_plans(trial)
     given = {
         "correction": correction,
         "friction": friction,

@@ -7,11 +7,12 @@ import numpy as np
 from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_judge import Verdict, scenario_found
 from wrod.deployment.plan import plan
-from wrod.deployment.simulate import simulate_deployment
+from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import WrodError
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.scenario import Scenario
 from wrod.rods.catalogue import rod as preset
+from wrod.solvers.contact import Friction
 
 _PLANS = ("rod believed", "rod found", "rod and table found")
 
@@ -75,7 +76,9 @@ def _lay(photograph: LaidPhotograph, scenario: Scenario) -> dict[str, float | No
                 warnings.simplefilter("ignore")
                 # The rod is held as it was in the photographs: its own side to the left.
                 path = plan(photograph.pattern, rod, roll=0.0, friction=friction)
-                one = simulate_deployment(photograph.pattern, true, path, scenario.friction)
+                law = Friction(scenario.friction)
+                trial = Trial(photograph.pattern, true, path, law, another_rod=True)
+                (one,) = simulate_deployments([trial])
             out[name] = None if one.diverged else 100.0 * one.error_mean
         except WrodError:
             out[name] = None

@@ -212,7 +212,8 @@ def _lay(photograph: LaidPhotograph, group: list[Mechanism], device: str) -> lis
         mu = one.scenario.friction
         law = Friction(mu, one.kinetic * mu, rolling=one.rolling)
         rod = one.rod(photograph.rod)
-        trials.append(Trial(photograph.pattern, rod, path, law, tail=Tail.none(path)))
+        trial = Trial(photograph.pattern, rod, path, law, tail=Tail.none(path), another_rod=True)
+        trials.append(trial)
     fast = group[0].speed > 0.05
     laid = simulate_deployments(
         trials,

@@ -53,7 +53,7 @@ def command(
     fixtures = None if file is None else Fixtures.load(file)
     path, curve = planned.path(curve, rod, device)
     laying.settle(rod, path, device)
-    deployments = laying.lay(curve, rod, path, fixtures, device)
+    deployments = laying.lay(curve, rod, path, fixtures, device, planned.another_rod)
     written = _write(out, laying, deployments, path, curve, rod, fixtures)
     placed = None
     if fixtures is not None:

@@ -9,8 +9,6 @@ from wrod import cost
 from wrod.arguments import refuse_idle_options
 from wrod.commands.options import METHOD
 
-# How far a trajectory's contacts may be from the pattern [m], and its rod from the one laid.
-_SAME_PATTERN, _SAME_ROD = 2e-3, 0.01
 _PAGE_INTERVAL = 0.25  # [s] between the states that the page shows
 
 PLANNED = (
@@ -74,6 +72,7 @@ class Planned:
 
     def path(self, curve, rod, device: str):
         """The trajectory, read or made, and the pattern with its remainder."""
+        from wrod.deployment.bounds import refuse_another_pattern, refuse_another_rod
         from wrod.deployment.plan import plan
         from wrod.deployment.simulate import with_remainder_of
         from wrod.planning.trajectory import Trajectory
@@ -84,7 +83,10 @@ class Planned:
             return path, with_remainder_of(curve, path)
         path = Trajectory.load(self.trajectory)
         curve = with_remainder_of(curve, path)
-        _refuse_another_plan(path, curve, rod, self.another_rod)
+        refuse_another_pattern(path, curve)
+        if not self.another_rod:
+            names = ("length", "radius", "gravito_bending_length")
+            refuse_another_rod(path, rod, names, ", or --another-rod to lay this one all the same")
         return path, curve
 
 
@@ -130,7 +132,7 @@ class Laying:
         remedy = "ask for fewer --trials or a larger --speed"
         cost.settle(work, f"{self.trials} deployments", remedy)
 
-    def lay(self, curve, rod, path, fixtures, device: str) -> list:
+    def lay(self, curve, rod, path, fixtures, device: str, another_rod: bool) -> list:
         """The deployments, one for each trial."""
         from wrod.deployment.setup import Disturbance
         from wrod.deployment.simulate import Trial, simulate_deployments
@@ -148,6 +150,7 @@ class Laying:
                 Disturbance() if ideal else Disturbance.random(seed),
                 rest,
                 fixtures,
+                another_rod,
             )
             for seed in range(self.trials)
         ]
@@ -160,36 +163,4 @@ class Laying:
                 frame_interval=self.interval,
                 device=device,
                 progress=lambda fraction: bar.update(min(100 * fraction, bar.total - bar.n)),
-            )
-
-
-def _refuse_another_plan(path, curve, rod, another_rod: bool) -> None:
-    """Refuse a trajectory that was planned for another pattern, or for another rod."""
-    import numpy as np
-
-    from wrod.errors import PatternError
-
-    s = np.clip(path.pattern_arc_length, -curve.remainder_length, curve.length)
-    apart = np.linalg.norm(curve.sample(s)[0] - path.contact, axis=1).max()
-    apart = max(apart, abs(path.pattern_arc_length[-1] - curve.length))
-    if apart > _SAME_PATTERN:
-        raise PatternError(
-            f"the trajectory is of {path.metadata.get('pattern', 'another pattern')}, up to "
-            f"{apart:.3f} m from {curve.name}; give the pattern that it was planned for"
-        )
-    if not another_rod:
-        names = ("length", "radius", "gravito_bending_length")
-        refuse_another_rod(path, rod, names, ", or --another-rod to lay this one all the same")
-
-
-def refuse_another_rod(path, rod, names: tuple[str, ...], remedy: str = "") -> None:
-    """Refuse a trajectory of a rod that has another length or radius, as `names` says."""
-    from wrod.errors import RodError
-
-    for name in names if path.rod is not None else ():
-        before, now = getattr(path.rod, name), getattr(rod, name)
-        if abs(now - before) > _SAME_ROD * before:
-            raise RodError(
-                f"the trajectory is of a rod whose {name} is {before:g} m, and this one's is "
-                f"{now:g} m; give that rod{remedy}"
             )

@@ -6,7 +6,6 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.commands.deploy_options import refuse_another_rod
 from wrod.commands.options import (
     DEVICE,
     ROD,
@@ -119,6 +118,7 @@ def command(
     one trajectory. The residual is explained by simulated deployments with another natural
     curvature and another L_gb, with --fit-friction also with another friction.
     """
+    from wrod.deployment.bounds import refuse_another_rod
     from wrod.deployment.simulate import with_remainder_of
     from wrod.identification.laid.measurements import load_laid
     from wrod.planning.trajectory import Trajectory

@@ -2,13 +2,15 @@
 
 import numpy as np
 
-from wrod.errors import RodError
+from wrod.errors import PatternError, RodError
 from wrod.machine import require_memory
 
 # Beyond these a deployment takes weeks; what a node holds in states and factors.
 _MOST_STEPS, _MOST_NODES, _NODE_BYTES = 2e7, 2e5, 4096.0
 # How far the grip may move in a step [m], and how long an edge may be [L_gb].
 _LONGEST_MOVE, _LONGEST_EDGE = 0.05, 3.0
+# How far a trajectory's contacts may be from the pattern [m], and its rod from the one laid.
+_SAME_PATTERN, _SAME_ROD = 2e-3, 0.01
 
 
 def check_pace(speed: float, spacing: float, hold: float, release: float) -> None:
@@ -62,3 +64,34 @@ def refuse_coarse_edges(trials, spacing: float) -> None:
             f"spacing is {spacing:g} m, and an edge of {longest:.2g} m is the longest that bends "
             "as this rod does; give less"
         )
+
+
+def refuse_another_pattern(trajectory, pattern) -> None:
+    """Refuse a trajectory that was planned for another pattern than this one with its remainder.
+
+    Raises:
+        PatternError: contacts are off it, or end elsewhere.
+    """
+    s = np.clip(trajectory.pattern_arc_length, -pattern.remainder_length, pattern.length)
+    apart = np.linalg.norm(pattern.sample(s)[0] - trajectory.contact, axis=1).max()
+    apart = max(apart, abs(trajectory.pattern_arc_length[-1] - pattern.length))
+    if apart > _SAME_PATTERN:
+        raise PatternError(
+            f"the trajectory is of {trajectory.metadata.get('pattern', 'another pattern')}, up to "
+            f"{apart:.3f} m from {pattern.name}; give the pattern that it was planned for"
+        )
+
+
+def refuse_another_rod(trajectory, rod, names: tuple[str, ...], remedy: str = "") -> None:
+    """Refuse a trajectory of a rod that differs in what `names` says.
+
+    Raises:
+        RodError: names what differs.
+    """
+    for name in names if trajectory.rod is not None else ():
+        before, now = getattr(trajectory.rod, name), getattr(rod, name)
+        if abs(now - before) > _SAME_ROD * before:
+            raise RodError(
+                f"the trajectory is of a rod whose {name} is {before:g} m, and this one's is "
+                f"{now:g} m; give that rod{remedy}"
+            )

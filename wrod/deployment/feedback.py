@@ -19,7 +19,7 @@ from wrod.deployment.expectation import misplacement
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, Sight
-from wrod.deployment.simulate import Trial
+from wrod.deployment.simulate import Trial, refuse_other_plans
 from wrod.deployment.tangents import Directions, Laid
 from wrod.deployment.together import Asked, Course, follow
 from wrod.deployment.way import Way
@@ -175,6 +175,7 @@ def lay_with_feedback(
         pattern, rod, trajectory, friction, plant, every=every, sight=sight, known=known,
         again=again, horizon=horizon, hold=hold, **options,
     )  # fmt: skip
+    refuse_other_plans(Trial(pattern, plant.rod, trajectory, plant.friction))
     return follow([course], hold=hold, device=device)[0]
 
 

@@ -12,7 +12,13 @@ import warp as wp
 
 from wrod import arguments
 from wrod.deployment.assembly import assemble
-from wrod.deployment.bounds import check_pace, refuse_coarse_edges, refuse_endless
+from wrod.deployment.bounds import (
+    check_pace,
+    refuse_another_pattern,
+    refuse_another_rod,
+    refuse_coarse_edges,
+    refuse_endless,
+)
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import Disturbance, Setup, disturb, mesh, prepare_deployment
@@ -64,7 +70,8 @@ def simulate_deployment(
 
     Args:
         pattern: the pattern of the plan; its remainder is added if the trajectory has one.
-        rod: what is laid, a `RodMaterial` or a `RodModel`; it may differ from the plan's.
+        rod: what is laid, a `RodMaterial` or a `RodModel`; it may differ from the plan's in all
+            but length and radius (of a `Trial` in those, too).
         trajectory: of the grip, as `wrod.plan` returns it; the rod is held at its roll.
         friction: a `Friction`, or the coefficient of both kinds.
         disturbance: what makes this trial differ from the ideal.
@@ -72,7 +79,8 @@ def simulate_deployment(
         options: those of `simulate_deployments`.
 
     Raises:
-        PatternError, RodError: the trajectory is too short, or an option is not usable.
+        PatternError, RodError: the trajectory is too short, or was planned for another pattern or
+            for a rod of another length or radius; or an option is not usable.
     """
     trial = Trial(
         pattern,
@@ -155,6 +163,8 @@ def simulate_deployments(
         return []
     device = resolve_device(device)
     refuse_endless(trials, speed, spacing, step, frame_interval)
+    for trial in trials:
+        refuse_other_plans(trial)
     compile_steps(device)
     setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
     options: dict[str, Any] = dict(
@@ -219,6 +229,17 @@ def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
     if length > 0.0 and pattern.remainder_length == 0.0:
         return pattern.with_remainder(length)
     return pattern
+
+
+def refuse_other_plans(trial: Trial) -> None:
+    """Refuse a trajectory of another pattern, or of a rod of another length or radius.
+
+    Raises:
+        PatternError, RodError: says which.
+    """
+    refuse_another_pattern(trial.trajectory, with_remainder_of(trial.pattern, trial.trajectory))
+    if not trial.another_rod:
+        refuse_another_rod(trial.trajectory, trial.rod, ("length", "radius"))
 
 
 def prepare_trials(

@@ -24,7 +24,11 @@ from wrod.solvers.contact import Friction
 )
 @dataclass(frozen=True)
 class Trial:
-    """One deployment to simulate; see `simulate_deployment`."""
+    """One deployment to simulate; see `simulate_deployment`.
+
+    Attributes:
+        another_rod: `rod` has another length or radius than that of the plan, on purpose.
+    """
 
     pattern: Pattern
     rod: RodModel | RodMaterial
@@ -33,3 +37,4 @@ class Trial:
     disturbance: Disturbance = field(default_factory=Disturbance)
     tail: Tail | None = None
     fixtures: Fixtures | None = None
+    another_rod: bool = False

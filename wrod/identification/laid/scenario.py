@@ -118,9 +118,10 @@ def lay(
     # Nothing is laid after the pattern: what the photographs show was laid before.
     end = Tail.none(trajectory)
     trials = [
-        Trial(pattern, scenario.rod(believed), trajectory, Friction(scenario.friction), tail=end)
+        Trial(pattern, scenario.rod(believed), trajectory, Friction(scenario.friction), tail=end,
+              another_rod=scenario.excess != 0.0)
         for scenario in scenarios
-    ]
+    ]  # fmt: skip
     laid = simulate_deployments(
         trials,
         hold=HELD if scenarios[0].held else 0.0,
