@@ -37,8 +37,13 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def available_memory() -> float:
-    """Bytes that this process may still take; infinite where the system does not say."""
+def available_memory(device: str = "cpu") -> float:
+    """Bytes that this process may still take, of a GPU those that are free there; infinite where
+    the system does not say."""
+    if device != "cpu":
+        import warp as wp
+
+        return float(wp.get_device(device).free_memory)
     free = float("inf")
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
@@ -54,8 +59,8 @@ def available_memory() -> float:
     return free
 
 
-def require_memory(needed: float, what: str, remedy: str) -> None:
-    """Refuse work that does not fit into this machine's memory.
+def require_memory(needed: float, what: str, remedy: str, device: str = "cpu") -> None:
+    """Refuse work that does not fit into the memory of this machine, or of its GPU.
 
     Args:
         needed: bytes.
@@ -64,9 +69,10 @@ def require_memory(needed: float, what: str, remedy: str) -> None:
     Raises:
         DataError: there are less.
     """
-    free = available_memory()
+    free = available_memory(device)
     if needed > free:
+        where = "" if device == "cpu" else f" on {device}"
         raise DataError(
-            f"{what} need about {needed / 2**30:.3g} GiB of memory, and {free / 2**30:.3g} GiB are "
-            f"free; {remedy}"
+            f"{what} need about {needed / 2**30:.3g} GiB of memory{where}, and "
+            f"{free / 2**30:.3g} GiB are free; {remedy}"
         )

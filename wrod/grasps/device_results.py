@@ -4,21 +4,39 @@ import warp as wp
 
 from wrod.grasps.results import SENSITIVITIES
 from wrod.kernels.grasping.reading import Results
-from wrod.machine import require_memory
+from wrod.machine import available_memory, require_memory
+
+# Solved at once at least, and the share of what is free that is taken for them.
+_LEAST, _SHARE = 32, 0.8
+
+
+def result_bytes(edges: int, *, sensitivities: bool, shapes: bool) -> float:
+    """Of the results of one grasp."""
+    return 8.0 * (20 + 9 * len(SENSITIVITIES) * sensitivities + 4 * (edges + 1) * shapes)
+
+
+def at_once(rods: int, most: int, kept: float, working: float, device: str) -> int:
+    """Grasps that are solved at once: as many as fit, at most `most`.
+
+    Args:
+        rods: all of them.
+        kept: bytes of each that stay until all are solved.
+        working: bytes of each while it is solved.
+
+    Raises:
+        DataError: not even a few fit beside what stays.
+    """
+    remedy = "ask for fewer at once, for no shapes, or for a smaller edge_count"
+    least = min(rods, most, _LEAST)
+    require_memory(rods * kept + least * working / _SHARE, f"{rods} grasps", remedy, device)
+    room = _SHARE * (available_memory(device) - rods * kept)
+    return most if room >= most * working else max(least, int(room / working))
 
 
 def empty_results(
     rods: int, edges: int, device: str, *, sensitivities: bool, shapes: bool
 ) -> Results:
-    """Uninitialised arrays of `Grasps`; what is not asked for has no entries.
-
-    Raises:
-        DataError: this machine has no memory for them.
-    """
-    if device == "cpu":
-        entries = 20 + 9 * len(SENSITIVITIES) * sensitivities + 4 * (edges + 1) * shapes
-        remedy = "ask for fewer at once" + (", or for no shapes" if shapes else "")
-        require_memory(8.0 * rods * entries, f"{rods} grasps", remedy)
+    """Uninitialised arrays of `Grasps`; what is not asked for has no entries."""
     out = Results()
 
     def floats(*shape, wanted=True):

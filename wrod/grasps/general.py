@@ -15,16 +15,19 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import warp as wp
 
-from wrod.grasps.device_results import empty_results
+from wrod.grasps.device_results import at_once, empty_results, result_bytes
 from wrod.grasps.inputs import GraspOptions
 from wrod.grasps.levels import Ladder, MeshLevel, make_scratch, make_task, per_rod, put
 from wrod.grasps.mesh import ghost, node_weights, tolerance, two_sided_rest_lengths
 from wrod.kernels.grasping import general_rod, iteration, reading
+from wrod.kernels.linear.frontal import row_width, stencil_entries
 from wrod.rods.batch import RodBatch
 from wrod.solvers.stability import smallest_eigenvalue
 from wrod.solvers.statics import prescribe
 
 _CPU_CHUNK, _CUDA_CHUNK = 64, 8192
+# Numbers that an edge's properties are.
+_PROPERTIES = 14
 # How much of a rod's own properties is added at once at first: natural curvature [1/L_gb], or the
 # share by which a stiffness differs. The twist that natural curvature brings grows with the length.
 _INCREMENT, _LONG = 0.5, 4.0
@@ -93,12 +96,22 @@ def solve_general(
     """
     edges = options.edge_count
     right = curvature < 0.0
+    on_cpu, n = options.device == "cpu", len(length)
+    workers = (options.threads or os.cpu_count() or 1) if on_cpu else 1
+    size = max(1, min(_CPU_CHUNK if on_cpu else _CUDA_CHUNK, -(-n // workers)))
+    # Properties on both meshes and results, twice while they are put together, stay in this
+    # machine's memory.
+    kept = 2.0 * result_bytes(edges, sensitivities=False, shapes=options.shapes)
+    kept += 8.0 * 1.5 * edges * _PROPERTIES
+    scratch = stencil_entries(4) + 4 * row_width(4) + _PROPERTIES + 24
+    working = Ladder.bytes_each(edges, options.device) + 8.0 * edges * (24 if on_cpu else scratch)
+    if on_cpu:
+        size = at_once(n, size, kept, workers * working, "cpu")
+    else:
+        at_once(n, n, kept, 0.0, "cpu")
+        size = at_once(size, size, 0.0, working, options.device)
     meshes = [_mirrored(rods(count), right) for count in (edges // 2, edges)]
     roll = np.where(right, -roll, roll)
-    on_cpu = options.device == "cpu"
-    workers = (options.threads or os.cpu_count() or 1) if on_cpu else 1
-    n = len(length)
-    size = max(1, min(_CPU_CHUNK if on_cpu else _CUDA_CHUNK, -(-n // workers)))
 
     def solve(first: int) -> dict[str, np.ndarray]:
         rows = slice(first, first + size)

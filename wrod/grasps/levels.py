@@ -266,11 +266,11 @@ class Ladder:
         mine = (self.rods, self.levels[-1].edges, self.device, self.sensitivities)
         return mine == (rods, edges, device, sensitivities)
 
-    @property
-    def byte_count(self) -> int:
-        """Roughly what is held: scratch memory is most of it."""
-        numbers = self.levels[-1].edges * (stencil_entries(3) + 3 * row_width(3) + 24)
-        return 8 * self.rods * numbers
+    @staticmethod
+    def bytes_each(edges: int, device: str) -> float:
+        """Roughly what a rod takes: scratch memory is most of it, of which a CPU has one."""
+        scratch = 0 if device == "cpu" else stencil_entries(3) + 3 * row_width(3)
+        return 8.0 * edges * (scratch + 24)
 
     def expect(self, inputs: list[wp.array], first: int, rods: int, *, sort: bool) -> None:
         """Take rods of `inputs` from row `first` on, sorted by the work that they will be."""

@@ -14,7 +14,7 @@ import warp as wp
 
 from wrod import arguments
 from wrod.errors import GraspError
-from wrod.grasps.device_results import empty_results
+from wrod.grasps.device_results import at_once, empty_results, result_bytes
 from wrod.grasps.general import RodArrays, curved_rods, solve_general
 from wrod.grasps.inputs import LIMITS, GraspArrays, GraspOptions, closure_number
 from wrod.grasps.levels import Ladder, compile_kernels
@@ -129,14 +129,18 @@ def solve_twisted(
 def _solve_straight(inputs: GraspArrays, sensitivities: bool, options: GraspOptions) -> Grasps:
     rods, device, edges = len(inputs), inputs.device, options.edge_count
     room = options.shapes or options.eigenvalues
-    out = empty_results(rods, edges, device, sensitivities=sensitivities, shapes=room)
     workers = 1 if device != "cpu" else (options.threads or os.cpu_count() or 1)
     size = _CPU_CHUNK if device == "cpu" else _CUDA_CHUNK
     size = max(1, min(size, -(-rods // workers)))
+    ladder = _kept_ladder(size, edges, device, sensitivities)
+    kept = result_bytes(edges, sensitivities=sensitivities, shapes=room)
+    working = 0.0 if ladder else workers * Ladder.bytes_each(edges, device)
+    size = at_once(rods, size, kept, working, device)
+    out = empty_results(rods, edges, device, sensitivities=sensitivities, shapes=room)
     compile_kernels(device, sensitivities)
     spare: queue.SimpleQueue[Ladder] = queue.SimpleQueue()
     for _ in range(min(workers, -(-rods // size))):
-        spare.put(_ladder(size, edges, device, sensitivities))
+        spare.put(ladder or Ladder(size, edges, device, sensitivities))
 
     def solve(first: int) -> None:
         count, ladder = min(size, rods - first), spare.get()
@@ -170,15 +174,15 @@ def _solve_straight(inputs: GraspArrays, sensitivities: bool, options: GraspOpti
 _kept: list[Ladder] = []
 
 
-def _ladder(rods: int, edges: int, device: str, sensitivities: bool) -> Ladder:
+def _kept_ladder(rods: int, edges: int, device: str, sensitivities: bool) -> Ladder | None:
+    """The room that was kept, if it is what a call wants; else it is given back."""
     kept = _kept.pop() if _kept and device != "cpu" else None
-    if kept is not None and kept.fits(rods, edges, device, sensitivities):
-        return kept
-    return Ladder(rods, edges, device, sensitivities)
+    return kept if kept and kept.fits(rods, edges, device, sensitivities) else None
 
 
 def _keep(ladder: Ladder) -> None:
-    if ladder.byte_count < _KEPT_SHARE * wp.get_device(ladder.device).total_memory:
+    size = ladder.rods * Ladder.bytes_each(ladder.levels[-1].edges, ladder.device)
+    if size < _KEPT_SHARE * wp.get_device(ladder.device).total_memory:
         _kept[:] = [ladder]
 
 
