@@ -18,6 +18,7 @@ import tempfile
 import time
 import warnings
 from contextlib import contextmanager, suppress
+from dataclasses import fields
 from decimal import Decimal
 from fractions import Fraction
 from functools import cache
@@ -701,11 +702,45 @@ CALLS = {
         importlib.import_module("wrod.planning.picture").draw_plan,
         dict(path="/proc/none/a.png", pattern=line(), trajectory=path()),
     ),
+    "Pattern": lambda: (
+        wrod.Pattern, dict(heading=line()._heading, origin=np.zeros(2), height=0.0, points=None),
+    ),
+    "Controller": lambda: (
+        wrod.Controller,
+        dict(parameters=shipped()._parameters, metadata=shipped().metadata, source="a"),
+    ),
+    **{f"{name}, made": lambda name=name: parts(made()[name]) for name in (
+        "Trajectory", "Deployment", "JointPath", "Grasps", "RodGrasps", "KnotPlan", "Handling",
+        "Fixture", "Grip", "Placement", "Plant", "Disturbance",
+    )},
     "with_remainder_of": lambda: (
         importlib.import_module("wrod.deployment.simulate").with_remainder_of,
         dict(pattern=line(), trajectory=path()),
     ),
 }  # fmt: skip
+
+
+@cache
+def shipped():
+    return wrod.Controller.load()
+
+
+@cache
+def made() -> dict:
+    """Objects that are mostly made by others."""
+    joints = wrod.JointPath.load(files()["JointPath"])
+    found = [
+        path(), wrod.Deployment.load(files()["Deployment"]), joints, joints.grip,
+        joints.placement, wrod.solve_grasps([5.0], [0.1], 2e3, device="cpu"),
+        wrod.solve_rod_grasps(rod_model(), [0.4], [0.0], edge_count=16, device="cpu"), knot(),
+        wrod.Handling.random(1), wrod.Fixtures.along(line(), np.array([0.1]), gap=0.01).items[0],
+        feedback().Plant(vps(), wrod.Friction(0.4)), wrod.Disturbance(),
+    ]  # fmt: skip
+    return {type(one).__name__: one for one in found}
+
+
+def parts(one):
+    return type(one), {f.name: getattr(one, f.name) for f in fields(one) if f.init}
 
 
 def held():
@@ -747,11 +782,8 @@ def described():
 
 def test_every_public_callable_is_here():
     """What has no own arguments, or is made by others' results only, is named."""
-    made_by_others = {
-        "Grasps", "RodGrasps", "IdentificationReport", "Deployment", "Trajectory", "JointPath",
-        "KnotPlan", "Handling", "Controller", "rod_names", "pattern_names", "Pattern",
-    }  # fmt: skip
-    here = {name.partition(".")[0] for name in CALLS}
+    made_by_others = {"IdentificationReport", "rod_names", "pattern_names"}
+    here = {name.partition(",")[0].partition(".")[0] for name in CALLS}
     assert set(wrod.__all__) - {"__version__"} <= here | made_by_others
 
 
@@ -774,6 +806,37 @@ def test_what_holds_arrays_is_compared_and_kept_in_sets():
     assert len({*made, *made}) == len(made)
     for one in made:
         assert one == one and one != 1 and isinstance(one == copy.deepcopy(one), bool)
+
+
+@pytest.mark.parametrize("name", ["Trajectory", "Deployment", "JointPath"])
+def test_nobody_changes_what_was_checked(name):
+    kind, own = parts(made()[name])
+    given = {key: np.array(v) if isinstance(v, np.ndarray) else v for key, v in own.items()}
+    one = kind(**given)
+    arrays = [key for key, value in given.items() if isinstance(value, np.ndarray)]
+    assert len(arrays) > 3
+    for key in arrays:
+        given[key][...] = 7.0
+        np.testing.assert_array_equal(getattr(one, key), own[key])
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(one, key)[...] = 7.0
+
+
+def test_patterns_and_controllers_keep_what_they_were_made_of():
+    heading, origin = line()._heading, np.zeros(2)
+    pattern = wrod.Pattern(heading.__class__(heading.c.copy(), heading.x.copy()), origin)
+    before = pattern.sample(0.3)[0]
+    origin += 1.0
+    weights = {name: value.copy() for name, value in shipped()._parameters.items()}
+    label = copy.deepcopy(shipped().metadata)
+    controller = wrod.Controller(weights, label)
+    said = controller.predict(10.0, 0.1, 2000.0)
+    for value in weights.values():
+        value[...] = 0.0
+    label["range"]["curvature"][0] = 99.0
+    assert np.array_equal(pattern.sample(0.3)[0], before)
+    np.testing.assert_array_equal(controller.predict(10.0, 0.1, 2000.0), said)
+    assert controller.metadata["range"] == shipped().metadata["range"]
 
 
 @pytest.mark.parametrize("name", CALLS)

@@ -18,7 +18,7 @@ from wrod.commands.running import (
     holding_output,
     interruptible,
     open_streams,
-    refuse_variables,
+    settle_variables,
     stop,
 )
 from wrod.errors import WrodWarning
@@ -70,7 +70,7 @@ class LazyGroup(click.Group):
         try:
             # The outermost group alone: a benchmark runs within it.
             with interruptible() if ctx.parent is None else contextlib.nullcontext():
-                refuse_variables()
+                settle_variables()
                 return super().invoke(ctx)
         except click.UsageError as error:
             _say_usage(error, ctx.command_path)

@@ -83,7 +83,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "bench deploy --levels": (1, 8),
     "bench knot-force --loosest": (1.0, 1e4),
     "bench knot-force --tightest": (1.0, 1e4),
-    "bench bends --load": (1e-6, 1e3),
+    "bench bends --load": (0.05, 1e3),
     "bench grasp --patience": (0.0, 1e6),
     "bench rounds --rounds": (1, 100_000),
     "bench rounds --knots": (0, 10_000),

@@ -61,7 +61,9 @@ def command(
     checked_path(data, wanted)  # before much is loaded
     from wrod.identification import identify, is_motion
     from wrod.identification.entry import identification_cost
+    from wrod.rods.device import resolve_device
 
+    device = resolve_device(device)  # refused before anything is computed
     moves, work = is_motion(data), identification_cost(data)
     if moves and minutes is not None:
         raise DataError(

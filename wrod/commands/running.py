@@ -149,8 +149,9 @@ def refuse_few_addresses() -> None:
         )
 
 
-def refuse_variables() -> None:
-    """Refuse what a library reads of the environment and would end the process for.
+def settle_variables() -> None:
+    """Refuse what a library reads of the environment and would end the process for, and keep what
+    OpenUSD tells of itself (TF_DEBUG) out of what is printed for machines.
 
     Raises:
         DataError: names the variable.
@@ -158,6 +159,7 @@ def refuse_variables() -> None:
     for name in (f"OPENCV_IO_MAX_IMAGE_{what}" for what in ("PIXELS", "WIDTH", "HEIGHT")):
         if not re.fullmatch("[0-9]{1,18}([KM][Bb]|[km]b)?", os.environ.get(name, "1")):
             raise DataError(f"{name}={os.environ[name]!r:.80} is no number of OpenCV's; unset it")
+    os.environ["TF_DEBUG_OUTPUT_FILE"] = "stderr"
     date = "SOURCE_DATE_EPOCH"  # matplotlib's, of PDF
     if not re.fullmatch("-?[0-9]{1,10}|[0-9]{11}", os.environ.get(date, "0")):
         raise DataError(f"{date}={os.environ[date]!r:.80} is no date in seconds; unset it")

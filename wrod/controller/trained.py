@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from wrod.arguments import shown
+from wrod.arguments import checked, shown
 from wrod.errors import DataError
 from wrod.files import check_arrays, decode_labels, read_tensors, schemas, write_tensors
 from wrod.records import frozen, plain
@@ -31,6 +31,7 @@ class Trained:
     kind: ClassVar[str]
     writer: ClassVar[str]
 
+    @checked(DataError)
     def __init__(self, parameters: dict[str, np.ndarray], metadata: dict, source: str = ""):
         kind, source = self.kind, source or self.kind
         if not isinstance(parameters, dict) or not all(isinstance(k, str) for k in parameters):
