@@ -135,8 +135,8 @@ def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
             found = np.empty(tuple(value.shape)) if there else np.asarray(value)
         except Exception:  # whatever an object does that is asked to be an array
             return f"must be an array of shape {said}"
-        if found.dtype.kind not in "fiu":
-            return f"must be an array of numbers of shape {said}"
+        if found.dtype.kind not in "fiu" or _has_masked(value):
+            return f"must be an array of numbers, none masked, of shape {said}"
         if found.size > _MOST:
             return f"has {found.size:.3g} numbers and may have {_MOST:.3g}"
         fits = [
@@ -153,6 +153,11 @@ def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
         return None
 
     return check
+
+
+def _has_masked(value: Any) -> bool:
+    """Whether entries are masked: what stands there would count as if they were not."""
+    return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
 
 
 def text(value: Any) -> str | None:
@@ -251,9 +256,8 @@ def floats(value: Any, where: str, error: type[WrodError]) -> np.ndarray:
     """
     try:
         found = np.asarray(value)
-        if (
-            found.size <= _MOST and found.dtype.kind in "biufO"
-        ):  # and no times, which would be counted in nanoseconds
+        # And no times, which would be counted in nanoseconds.
+        if found.size <= _MOST and found.dtype.kind in "biufO" and not _has_masked(value):
             return found.astype(np.float64, copy=False)
     except Exception:  # whatever an object does that is asked to be an array
         pass

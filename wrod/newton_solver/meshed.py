@@ -54,6 +54,11 @@ class MeshedRod:
         return cls(model, points, velocity, rest, directors, nodes)
 
 
+# Points farther from the origin, in edges, lose the digits that bending is computed of; edges whose
+# tangents have a smaller product bend without bound.
+_FARTHEST, _FOLDED = 1e8, -1.0 + 1e-6
+
+
 def _spread(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
     value = arguments.spread(value, shape, name, RodError)
     if not np.isfinite(value).all():
@@ -95,6 +100,16 @@ def _points(points) -> np.ndarray:
     if not (edges > 0).all():
         i = int(np.argmin(edges))
         raise RodError(f"rod points {i} and {i + 1} coincide; give neighbours some distance")
+    if np.abs(points).max() > _FARTHEST * edges.min():
+        raise RodError(
+            f"rod points lie up to {np.abs(points).max():.3g} m from the origin, {edges.min():.3g} "
+            "m from each other; move them to where numbers tell them apart"
+        )
+    tangents = np.diff(points, axis=0) / edges[:, None]
+    ahead = (tangents[:-1] * tangents[1:]).sum(axis=1)
+    if ahead.min() < _FOLDED:
+        i = int(np.argmin(ahead)) + 1
+        raise RodError(f"the rod folds back upon itself at point {i}; give points of a curve")
     return points
 
 

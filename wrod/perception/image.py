@@ -37,6 +37,10 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
                     f"{path}: has {width} x {height} px, and at most {LARGEST / 1e6:.0f} million "
                     "are traced; scale it down"
                 )
+            if _has_more(picture):
+                raise PerceptionError(
+                    f"{path}: holds several pictures; save the one that is meant by itself"
+                )
             picture = ImageOps.exif_transpose(picture)
             if picture.mode in ("RGBA", "LA", "PA") or "transparency" in picture.info:
                 picture = picture.convert("RGBA")
@@ -57,6 +61,17 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
             f"{path}: the picture is damaged or truncated ({error}); copy it again"
         ) from None
     return as_image(array, str(path))
+
+
+def _has_more(picture) -> bool:
+    """Whether there is a second picture; telephones put one for their screen behind a JPEG."""
+    if picture.format in ("JPEG", "MPO"):
+        return False
+    try:
+        picture.seek(1)
+    except EOFError:
+        return False
+    return True
 
 
 def picture_pixels(path: str | os.PathLike[str]) -> int:
