@@ -168,9 +168,6 @@ class Plans(_File, frozen=True):
     seed: Annotated[int, Meta(ge=0, le=2**53)]
 
 
-Closure = Literal["zero_tension", "least_force", "least_friction"]
-
-
 class Manifest(_File, frozen=True):
     """What a dataset of grasps is (`manifest.json` of `wrod dataset`)."""
 
@@ -238,20 +235,6 @@ class Corrector(_Open, frozen=True):
 
 
 Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
-
-
-class Rod(_Open, frozen=True):
-    """A rod's own numbers, SI units."""
-
-    radius: Positive
-    gravito_bending_length: Positive
-    length: Positive
-    poisson: Annotated[float, Meta(gt=-1.0, le=0.5)] = 0.5
-    density: Positive = 1180.0
-    gravity: Positive = 9.81
-    natural_curvature: tuple[Fraction, Fraction] = (0.0, 0.0)
-
-
 # What rods have in metres, and none has whose file was written in millimetres.
 Radius = Annotated[float, Meta(gt=0.0, le=1.0, description="[m]")]
 Bending = Annotated[float, Meta(gt=0.0, le=30.0, description="[m]")]

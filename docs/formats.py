@@ -1,4 +1,4 @@
-"""`python -m wrod.files.document`: docs/formats.md, from the schemas themselves."""
+"""`python docs/formats.py`: docs/formats.md, from the schemas themselves."""
 
 import inspect
 import math
@@ -13,7 +13,7 @@ from wrod.files.array_schemas import ARRAYS, ArrayFile
 
 HEAD = """# Files that wrod reads
 
-Printed by `python -m wrod.files.document docs/formats.md` from `wrod/files/schemas.py`, which every
+Printed by `python docs/formats.py docs/formats.md` from `wrod/files/schemas.py`, which every
 reader checks against; a test compares the two. JSON is UTF-8, at most 4 MiB and nested at most 32
 deep; numbers are finite, whole ones at most 2^53; entries that a table does not name are refused
 unless it says so. A refusal names the file, and the line or the entry.
