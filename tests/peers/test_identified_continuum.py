@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from wrod.bench.continuous_rod import Experiment, hanging, measured
+from wrod.bench.continuous_rod import Experiment, labels, measured
 from wrod.identification import Effect, Parameter, identify
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
@@ -16,6 +17,30 @@ ROD = RodMaterial(0.0018, 0.06, 0.5, density=1500.0)
 def around(s, place, width):
     """(K,) a bump of area 1."""
     return np.exp(-0.5 * ((s - place) / width) ** 2) / (width * np.sqrt(2 * np.pi))
+
+
+def hanging(rod, *, trials=12, markers=31, seed=0):
+    """Fields of a measured file but for what is measured: a rod that hangs in skew arcs."""
+    rng = np.random.default_rng(seed)
+    level = np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]])
+
+    def turned(size):
+        return Rotation.from_rotvec(rng.uniform(-1, 1, (trials, 3)) * size).as_matrix()
+
+    clamp = level @ turned([0.35, 0.35, np.pi])
+    across = rng.uniform(-0.1, 0.1, (trials, 3)) + [0.75, 0.0, 0.0]
+    test = trials // 3
+    return {
+        "arc_length": np.linspace(0.0, rod.length, markers),
+        "clamp_position": np.tile([0.3, -0.2, 0.5], (trials, 1)),
+        "clamp_rotation": clamp,
+        "grip_position": np.array([0.3, -0.2, 0.5]) + rod.length * across,
+        "grip_rotation": clamp @ turned([0.5, 0.5, 0.6]),
+        "train_idx": np.arange(trials - test),
+        "test_idx": np.arange(trials - test, trials),
+        **labels(rod),
+        "noise_std": 5e-4,
+    }
 
 
 def made(experiment, seed=0, **options):

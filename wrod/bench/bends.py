@@ -37,8 +37,6 @@ def command(frictions: str, load: float, rods: str, only: tuple, out: str | None
     pair = [rod(name) for name in rods.split(",")]
     if len(pair) != 2:
         raise RodError(f"rods is {rods!r}; give two names with a comma between")
-    if not load > 0.0:
-        raise RodError(f"load is {load:g} N; it must be positive")
     rows = []
     jobs = [(name, f) for name in names for f in (friction if name != "unknot" else friction[:1])]
     cost.settle(cost.Cost(cost.BEND * len(jobs)), f"{len(jobs)} bends")

@@ -141,9 +141,9 @@ def _work(paths, jobs, workers: int) -> cost.Cost:
     required=True,
     help="Folder of recordings of rods in motion (.npz), one file a rod.",
 )
-@click.option("--folds", "number", type=click.IntRange(min=2), default=7, show_default=True)
+@click.option("--folds", "number", default=7, show_default=True)
 @click.option("--contiguous", is_flag=True, help="Folds of neighbours, not every n-th recording.")
-@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--workers", default=1, show_default=True)
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option(
     "--out",

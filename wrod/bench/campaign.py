@@ -1,9 +1,11 @@
 """Campaigns of simulated deployments: finished trials are kept, so that a stopped run goes on."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -231,3 +233,53 @@ def say(
         "written": [str(path) for path in written],
     }
     tell(figures, f"{spent} of {nodes} nodes on {device} ({before})", *summary)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Means over the trials of one cell that did not diverge [cm]: of error and deviation along the
+    pattern, with the grip holding and let go; and how many trials there were."""
+
+    held: tuple[float, float]
+    released: tuple[float, float]
+    trials: int
+    diverged: int
+
+    @property
+    def error(self) -> float:
+        return self.held[0]
+
+    @property
+    def lost(self) -> str:
+        """A remark on trials that diverged."""
+        return f" ({self.diverged} diverged)" if self.diverged else ""
+
+
+def grouped(rows: Sequence[dict], keys: Sequence[str]) -> dict[tuple, list[dict]]:
+    """The rows of each cell, which `keys` tell apart, in their order."""
+    groups = defaultdict(list)
+    for row in rows:
+        groups[tuple(row[key] for key in keys)].append(row)
+    return groups
+
+
+def mean_of(group: Sequence[dict], *names: str):
+    """Means of figures, numbers or lists, over the trials of a cell that did not diverge."""
+    good = [row for row in group if not row["diverged"]]
+    return tuple(np.mean([r[name] for r in good], axis=0) if good else np.nan for name in names)
+
+
+def cell_of(group: Sequence[dict]) -> Cell:
+    """What the trials of a cell come to."""
+    held, deviation, released, later = map(
+        float,
+        mean_of(group, "error_mean", "error_std", "released_error_mean", "released_error_std"),
+    )
+    diverged = sum(row["diverged"] for row in group)
+    return Cell((held, deviation), (released, later), len(group), diverged)
+
+
+def diverged(table: Mapping[Any, Cell]) -> str:
+    """How many trials of all cells did, in a sentence."""
+    lost = sum(cell.diverged for cell in table.values())
+    return f"{lost} of {sum(cell.trials for cell in table.values())} trials diverged."

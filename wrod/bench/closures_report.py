@@ -1,12 +1,12 @@
 """Results of the comparison of closures, told as CSV and Markdown."""
 
-from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from wrod import files
+from wrod.bench import campaign
 
 KEYS = ("rod", "course", "friction", "method", "trial")
 CLOSURES = ("zero_tension", "min_force", "min_friction")
@@ -20,43 +20,21 @@ LABELS = {"intuitive": "INT", PUT_DOWN: "put down exactly"} | {
 
 
 @dataclass(frozen=True)
-class Cell:
-    """Means over the trials of one cell that did not diverge: errors [cm], the error of each fifth
-    of the pattern [cm]; how many trials there were; and the friction that the plan asks for where
-    the rod touches down, or None."""
+class Cell(campaign.Cell):
+    """Also the mean error of each fifth of the pattern [cm], and the friction that the plan asks
+    for where the rod touches down, or None."""
 
-    held: tuple[float, float]
-    released: tuple[float, float]
     fifths: tuple[float, ...]
-    trials: int
-    diverged: int
     contact_friction: float | None
-
-    @property
-    def error(self) -> float:
-        return self.held[0]
 
 
 def cells(rows: list[dict]) -> dict[tuple[str, str, float, str], Cell]:
     """(rod, course, friction, method) -> cell, in the order of the rows."""
-    groups = defaultdict(list)
-    for row in rows:
-        groups[tuple(row[key] for key in KEYS[:4])].append(row)
     out = {}
-    for key, group in groups.items():
-        good = [row for row in group if not row["diverged"]]
-
-        def mean(name, good=good):
-            return np.mean([row[name] for row in good], axis=0) if good else np.nan
-
-        out[key] = Cell(
-            (float(mean("error_mean")), float(mean("error_std"))),
-            (float(mean("released_error_mean")), float(mean("released_error_std"))),
-            tuple(np.broadcast_to(mean("error_fifths"), 5).tolist()),
-            len(group),
-            len(group) - len(good),
-            group[0].get("contact_friction"),
-        )
+    for key, group in campaign.grouped(rows, KEYS[:4]).items():
+        (fifths,) = campaign.mean_of(group, "error_fifths")
+        own = tuple(np.broadcast_to(fifths, 5).tolist()), group[0].get("contact_friction")
+        out[key] = Cell(*astuple(campaign.cell_of(group)), *own)
     return out
 
 
@@ -124,9 +102,7 @@ def summary(table: dict) -> list[str]:
             text += ", not in " + ", ".join(f"{p[0]} {p[1]} at {p[2]:g}" for p in worse[:12])
             text += ", ..." if len(worse) > 12 else ""
         lines.append(text + ".")
-    lost = sum(cell.diverged for cell in table.values())
-    lines.append(f"{lost} of {sum(cell.trials for cell in table.values())} trials diverged.")
-    return lines
+    return [*lines, campaign.diverged(table)]
 
 
 def markdown(table: dict, head: str, words: list[str]) -> str:
@@ -147,8 +123,7 @@ def markdown(table: dict, head: str, words: list[str]) -> str:
                         continue
                     complete = all((*place, name) in table for name in CLOSURES)
                     bold = "**" if complete and method in best(table, place) else ""
-                    lost = f" ({cell.diverged} diverged)" if cell.diverged else ""
-                    row.append(f"{bold}{cell.error:.2f}{bold}{lost}")
+                    row.append(f"{bold}{cell.error:.2f}{bold}{cell.lost}")
                 lines.append("| " + " | ".join(row) + " |")
         lines.append("")
     return "\n".join(lines)

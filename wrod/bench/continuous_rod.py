@@ -293,7 +293,7 @@ def measured(
     """A set of measurements of the rod and at the poses in `data` (fields of a measured file).
 
     Args:
-        data: everything but what is measured, as `hanging` gives it.
+        data: everything but what is measured.
         experiment: what the rod is really like.
         seed: of the noise; noise: standard deviation of a marker coordinate [m].
         steps: in which the effect grows from nothing, so that rods stay on their branch; halved
@@ -373,28 +373,4 @@ def labels(rod: RodMaterial) -> dict[str, float]:
         "L_gb": rod.gravito_bending_length,
         "poisson": rod.poisson,
         "gravity": rod.gravity,
-    }
-
-
-def hanging(rod: RodMaterial, *, trials: int = 12, markers: int = 31, seed: int = 0) -> dict:
-    """Fields of a measured file but for what is measured: a rod that hangs in skew arcs."""
-    rng = np.random.default_rng(seed)
-    level = np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]])
-
-    def turned(size):
-        return Rotation.from_rotvec(rng.uniform(-1, 1, (trials, 3)) * size).as_matrix()
-
-    clamp = level @ turned([0.35, 0.35, np.pi])
-    across = rng.uniform(-0.1, 0.1, (trials, 3)) + [0.75, 0.0, 0.0]
-    test = trials // 3
-    return {
-        "arc_length": np.linspace(0.0, rod.length, markers),
-        "clamp_position": np.tile([0.3, -0.2, 0.5], (trials, 1)),
-        "clamp_rotation": clamp,
-        "grip_position": np.array([0.3, -0.2, 0.5]) + rod.length * across,
-        "grip_rotation": clamp @ turned([0.5, 0.5, 0.6]),
-        "train_idx": np.arange(trials - test),
-        "test_idx": np.arange(trials - test, trials),
-        **labels(rod),
-        "noise_std": 5e-4,
     }

@@ -20,8 +20,8 @@ _COLD = (
 
 @click.command(name="controller")
 @click.argument("weights", nargs=-1, type=click.Path(dir_okay=False, path_type=Path))
-@click.option("--count", type=click.IntRange(min=1), default=2000, show_default=True)
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--count", default=2000, show_default=True)
+@click.option("--seed", default=1, show_default=True)
 @click.option("--device", default="auto", show_default=True, help="Of the numeric solver.")
 @json_option
 def command(weights: tuple[Path, ...], count: int, seed: int, device: str) -> None:

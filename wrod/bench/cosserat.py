@@ -32,7 +32,7 @@ _SOLVERS = ("wrod", "pyelastica", "newton-vbd", "mujoco", "dismech")
               help="Only this one; may be repeated. Default: all.")  # fmt: skip
 @click.option("--solver", "solvers", multiple=True, type=click.Choice(_SOLVERS),
               help="Only this one; may be repeated. Default: all that are installed.")  # fmt: skip
-@click.option("--elements", multiple=True, type=click.IntRange(4, 2000),
+@click.option("--elements", multiple=True, type=int,
               help="Elements of each rod; may be repeated. Default: the experiment's.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a picture of all.")
 @click.option("--with", "others", multiple=True, type=click.Path(exists=True, path_type=Path),

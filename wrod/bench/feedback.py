@@ -41,7 +41,7 @@ _FIRST_SEED = 9_000
 @click.option(
     "--names", default="letter-U,letter-A,letter-C,sine", show_default=True, help="Patterns."
 )
-@click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True,
+@click.option("--seeds", default=1, show_default=True,
               help="Trials a cell: each its own disturbance and noise.")  # fmt: skip
 @click.option(
     "--patterns",
@@ -60,7 +60,7 @@ _FIRST_SEED = 9_000
 @click.option("--horizon", default=10.0, show_default=True,
               help="How far ahead the path is corrected after a look [L_gb].")  # fmt: skip
 @click.option("--undisturbed", is_flag=True, help="The effect alone, without shaking and the rest.")
-@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
+@click.option("--workers", default=1, show_default=True,
               help="Processes.")  # fmt: skip
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)

@@ -43,7 +43,7 @@ from wrod.telling import json_option, tell
 @click.option("--workers", default=1, show_default=True, help="Hidden: processes side by side.")
 @click.option(
     "--minutes",
-    type=click.FloatRange(min=0, min_open=True),
+    type=float,
     help="For each set: end its search by then with the best verdict so far.",
 )
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")

@@ -44,7 +44,7 @@ from wrod.telling import json_option, tell
 @click.option(
     "--grasps", default=2048, show_default=True, help="That a curved rod's network learns."
 )
-@click.option("--steps", type=click.IntRange(min=1), help="Of its training; default: the recipe's.")
+@click.option("--steps", type=int, help="Of its training; default: the recipe's.")
 @click.option("--friction", default=1.0, show_default=True, help="Friction coefficient.")
 @click.option(
     "--known-table",

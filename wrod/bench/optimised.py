@@ -23,7 +23,7 @@ _BATCHES = (1, 64)
     type=click.Path(file_okay=False, exists=True, path_type=Path),
     help="Folder of pattern files; default: the built-in patterns.",
 )
-@click.option("--together", type=click.IntRange(min=0), default=0, show_default=True,
+@click.option("--together", default=0, show_default=True,
               help="Optimise so many plans of random patterns together, too.")  # fmt: skip
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @json_option

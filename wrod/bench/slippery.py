@@ -74,7 +74,7 @@ _GENTLE = 0.4
 @click.option("--undisturbed", is_flag=True, help="Lay the planned rod, placed as planned.")
 @click.option("--disturbed", help="What alone disturbs the trials: jitter, lgb_error, placement, "
               "yaw, natural_curvature; default: all.")  # fmt: skip
-@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
+@click.option("--workers", default=1, show_default=True,
               help="Processes, on a CPU.")  # fmt: skip
 @campaign.options(speed=0.04, step=0.01, spacing=0.005)
 def command(

@@ -35,7 +35,6 @@ def _only(what: str, parameter: str, names: tuple[str, ...]):
 )
 @click.option(
     "--workers",
-    type=click.IntRange(min=1),
     default=1,
     show_default=True,
     help="Known table: processes that plan side by side.",

@@ -1,12 +1,11 @@
 """Results of the campaign, told as CSV, Markdown and a picture."""
 
-from collections import defaultdict
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from wrod import files
+from wrod.bench.campaign import Cell, cell_of, diverged, grouped
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
 from wrod.files import write_figure
 
@@ -14,34 +13,9 @@ SHORT = {"intuitive": "INT", "numeric": "OPT"}
 KEYS = ("rod", "substrate", "pattern", "method", "trial")
 
 
-@dataclass(frozen=True)
-class Cell:
-    """Means over the trials of one cell that did not diverge [cm]."""
-
-    held: tuple[float, float]
-    released: tuple[float, float]
-    trials: int
-    diverged: int
-
-
-def cells(rows: list[dict]) -> dict[tuple[str, str, str, str], Cell]:
-    groups = defaultdict(list)
-    for row in rows:
-        groups[tuple(row[key] for key in KEYS[:4])].append(row)
-    out = {}
-    for key, group in groups.items():
-        good = [row for row in group if not row["diverged"]]
-
-        def mean(*names, good=good):
-            return tuple(float(np.mean([r[n] for r in good])) if good else np.nan for n in names)
-
-        out[key] = Cell(
-            mean("error_mean", "error_std"),
-            mean("released_error_mean", "released_error_std"),
-            len(group),
-            len(group) - len(good),
-        )
-    return out
+def cells(rows: list[dict]) -> dict[tuple, Cell]:
+    """(rod, substrate, pattern, method) -> cell."""
+    return {key: cell_of(group) for key, group in grouped(rows, KEYS[:4]).items()}
 
 
 def write_csv(path: Path, table: dict) -> Path:
@@ -86,9 +60,8 @@ def markdown(table: dict, head: str) -> str:
                         row.append("")
                         continue
                     there = paper[rod, substrate, name, method]
-                    lost = f" ({cell.diverged} diverged)" if cell.diverged else ""
                     row.append(
-                        f"**{cell.held[0]:.2f} ± {cell.held[1]:.2f}**{lost}<br>"
+                        f"**{cell.held[0]:.2f} ± {cell.held[1]:.2f}**{cell.lost}<br>"
                         f"let go {cell.released[0]:.2f} ± {cell.released[1]:.2f}<br>"
                         f"paper {there[0]:.2f} ± {there[1]:.2f}"
                     )
@@ -114,9 +87,7 @@ def summary(table: dict) -> list[str]:
                 for k in sorted(worse, key=_order)
             ]
             lines.append(f"{text}: " + ", ".join(names) + ".")
-    lost = sum(cell.diverged for cell in table.values())
-    lines.append(f"{lost} of {sum(cell.trials for cell in table.values())} trials diverged.")
-    return lines
+    return [*lines, diverged(table)]
 
 
 def draw(path: Path, rows: list[dict], patterns: dict) -> Path:

@@ -56,9 +56,7 @@ _PICTURE, _ALL = "pictures of scenes", "all"  # kernels that are no module's
 
 @click.command(name="compile", short_help="Compile kernels before they are needed.")
 @options(DEVICE)
-@click.option(
-    "--jobs", type=click.IntRange(min=1), help="Processes at a time; at most (default) one a core."
-)
+@click.option("--jobs", type=int, help="Processes at a time; at most (default) one a core.")
 @click.option("--all", "rare", is_flag=True, help="On a CPU also what few commands launch.")
 @json_option
 def command(device: str, jobs: int | None, rare: bool) -> None:

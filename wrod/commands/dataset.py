@@ -12,9 +12,9 @@ from wrod.telling import asked, json_option, tell
 
 
 @click.command(name="dataset", short_help="Solve grasps to train a controller with.")
-@click.option("--size", type=click.IntRange(min=1), required=True, help="Number of samples.")
+@click.option("--size", type=int, required=True, help="Number of samples.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--seed", default=0, show_default=True)
 @options(CLOSURE)
 @click.option(
     "--sensitivities/--no-sensitivities",
@@ -23,7 +23,7 @@ from wrod.telling import asked, json_option, tell
 )
 @gathered("rod_options", RodOptions, ROD)
 @options(ROLL)
-@click.option("--shard-size", type=click.IntRange(min=1), help="Samples per file; default 2048.")
+@click.option("--shard-size", type=int, help="Samples per file; default 2048.")
 @options(DEVICE)
 @cost.force_option
 @json_option

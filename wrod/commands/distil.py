@@ -12,15 +12,13 @@ _LAID_ONCE = 0.2
 
 
 @click.command(name="distil", short_help="Train a network that corrects plans for a table.")
-@click.option(
-    "--size", type=click.IntRange(min=1), required=True, help="Optimised plans to learn from."
-)
+@click.option("--size", type=int, required=True, help="Optimised plans to learn from.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--steps", type=click.IntRange(min=1), default=3000, show_default=True,
+@click.option("--seed", default=0, show_default=True)
+@click.option("--steps", default=3000, show_default=True,
               help="Of each training.")  # fmt: skip
 @click.option(
-    "--rounds", type=click.IntRange(min=0), default=2, show_default=True,
+    "--rounds", default=2, show_default=True,
     help="Times that a network lays all patterns, and the next learns from that.",
 )  # fmt: skip
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")

@@ -25,7 +25,7 @@ _SHOWN = 8
 )
 @click.option(
     "--minutes",
-    type=click.FloatRange(min=0, min_open=True),
+    type=float,
     help="Of a clamped rod: end the search by then with the best verdict so far.",
 )
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")

@@ -49,7 +49,7 @@ METHOD = (
     ),
 )
 DEVICE = (click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto."),)
-PICTURE = (
+SCALE = (
     click.option(
         "--markers",
         type=click.Path(path_type=Path),
@@ -58,6 +58,9 @@ PICTURE = (
     click.option("--sheet", help="Or the size of the bright sheet drawn on: WIDTHxHEIGHT [m]."),
     click.option("--scale", type=float, help="Or its metres per pixel, seen from above [m/px]."),
     click.option("--camera", type=click.Path(path_type=Path), help="Camera matrix and distortion."),
+)
+PICTURE = (
+    *SCALE,
     click.option(
         "--start",
         help="Where a picture's curve begins: X,Y [m], dot, or a corner (default lower-left).",

@@ -61,8 +61,6 @@ def fit(curve, rod, shaping: Shaping) -> Prepared:
     from wrod.patterns.rounding import round_corners
 
     resize, tolerance, hold = shaping.resize, shaping.tolerance, shaping.hold
-    if not tolerance > 0:
-        raise PatternError(f"--tolerance is {tolerance:g}; give a positive number of metres")
     notes, figures = [], {}
     if shaping.reverse:
         curve = curve.reversed()

@@ -119,12 +119,6 @@ class RobotRequest:
         refuse_few_addresses()
         if self.view and find_spec("viser") is None:
             raise SceneError("--view needs Viser; install wrod[view]")
-        for name in ("table_height", "gripper_length", "speed"):
-            value = getattr(self, name)
-            if value is not None and not math.isfinite(value):
-                raise RobotError(f"--{name.replace('_', '-')} is {value}; give a finite number")
-        if self.speed is not None and self.speed <= 0:
-            raise RobotError(f"--speed is {self.speed:g}; give a positive number of m/s")
         from wrod.robot.model import describe_robot
         from wrod.robot.obstacles import Obstacles
         from wrod.robot.outputs import FORMATS

@@ -8,7 +8,7 @@ import click
 
 from wrod import cost
 from wrod.arguments import refuse_idle_options
-from wrod.commands.options import gathered, parse_numbers, parse_start
+from wrod.commands.options import SCALE, gathered, parse_numbers, parse_start
 from wrod.telling import asked, json_option
 
 _READING = (
@@ -21,12 +21,7 @@ _READING = (
         help="Rods on a plain table, or strokes on paper.",
     ),
     click.option("--color", help="Colour of the rods as R,G,B; default: all that differs."),
-    click.option("--markers", type=click.Path(path_type=Path), help="Layout of the ArUco markers."),
-    click.option("--sheet", help="Size of the bright sheet drawn on, as WIDTHxHEIGHT [m]."),
-    click.option(
-        "--scale", type=float, help="Metres per pixel of a camera that looks down [m/px]."
-    ),
-    click.option("--camera", type=click.Path(path_type=Path), help="Camera matrix and distortion."),
+    *SCALE,
 )
 
 

@@ -17,7 +17,7 @@ from wrod.telling import asked, json_option, tell
 )
 @click.option(
     "--generate",
-    type=click.IntRange(min=100),
+    type=int,
     metavar="N",
     help="Solve N grasps first; a fifth of them during training, where the network errs most.",
 )
@@ -28,16 +28,15 @@ from wrod.telling import asked, json_option, tell
     help="default, paper, or curved for the grasps of one naturally curved rod; default: by the "
     "dataset.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--steps", type=click.IntRange(min=1), help="Optimiser steps; default: the recipe's.")
-@click.option("--batch", type=click.IntRange(min=1), help="Grasps per step (the first).")
-@click.option("--width", type=click.IntRange(min=1), help="Units of a hidden layer.")
-@click.option("--sensitivity-weight", type=click.FloatRange(min=0), help="Of the derivatives.")
-@click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Stop by then.")
-@click.option("--rows", type=click.IntRange(min=100), help="Most grasps of the dataset to hold.")
+@click.option("--seed", default=0, show_default=True)
+@click.option("--steps", type=int, help="Optimiser steps; default: the recipe's.")
+@click.option("--batch", type=int, help="Grasps per step (the first).")
+@click.option("--width", type=int, help="Units of a hidden layer.")
+@click.option("--sensitivity-weight", type=float, help="Of the derivatives.")
+@click.option("--minutes", type=float, help="Stop by then.")
+@click.option("--rows", type=int, help="Most grasps of the dataset to hold.")
 @click.option(
     "--test",
-    type=click.IntRange(min=1),
     default=2000,
     show_default=True,
     help="Fresh random inputs that the result is scored on.",
