@@ -24,8 +24,9 @@ _DAMPING, _HARDER, _TRIALS = 1e-2, 5.0, 7
 _CONVERGED = 2e-3
 # A parameter as large as its prior's scale costs this share of the misfit that a fit starts from.
 _PRIOR = 2e-3
-# Slices of windows that are run side by side: launches take turns, so more would only wait.
-_SLICES = 2
+# Slices of windows that are run side by side: launches take turns, so more would only wait. Setting
+# one up and recording its launches takes as long as so many windows of a second.
+_SLICES, _WORTH_A_SLICE = 2, 8
 # Time steps a frame at most, where longer ones do not converge.
 _FINEST = 4
 
@@ -115,7 +116,8 @@ class MotionLaboratory:
         return x, rate, failed
 
     def _run(self, windows: Windows, setup: MotionSetup, rates: Sequence[MotionSetup]):
-        count = min(os.cpu_count() or 1, _SLICES, len(windows.recording))
+        worth = len(windows.recording) // _WORTH_A_SLICE
+        count = max(1, min(os.cpu_count() or 1, _SLICES, worth))
         count = count if self.device == "cpu" else 1
         slices = np.array_split(np.arange(len(windows.recording)), count)
 
