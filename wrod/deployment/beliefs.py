@@ -1,5 +1,7 @@
 """What is believed of a rod and its table while it is laid, and how looks change it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from wrod.deployment.expectation import FINE
@@ -24,6 +26,8 @@ _DRIFT = np.array([0.1, 0.05, 0.05, 0.1, 0.1])
 _OTHER_TABLE = np.array([1.0, 0.05, 0.05, 0.1, 0.1])
 _DRIFTS = ((0.1 * _DRIFT, 0.475), (_DRIFT, 0.475), (_OTHER_TABLE, 0.05))
 _MOST_CHANGE = 1.5
+# Change of a belief up to which what is believed to lie answers linearly, in these.
+_LINEAR = 0.2
 # What a point differs by though the beliefs are right: mesh, shaking, whatever else [m]; and how
 # far behind the contact a look tells of beliefs [m]: what lies there has told of them before.
 _MODEL_ERROR, _MODEL_ERROR_HANGING = 1e-3, 3e-3
@@ -31,9 +35,10 @@ _MEMORY = 0.12
 # Length before the contact over which what lies is compared with what is believed to, and over
 # which it forgets how far beside that it is [m].
 _NEAR, _STEP = 0.1, 1e-3
-# Standard deviations that how far that is may have though the beliefs are right [m]: which of them,
-# the looks tell.
-_BESIDE = np.array([0.0, 1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3])
+# Standard deviations that how far that is may have though the beliefs are right [m], and how likely
+# they are before a look tells: most often the beliefs say it all.
+_BESIDE = np.array([0.0, 2e-4, 4e-4, 8e-4, 1.6e-3])
+_LIKELY = np.array([0.8, 0.05, 0.05, 0.05, 0.05])
 
 
 class Beliefs:
@@ -97,14 +102,15 @@ class Beliefs:
 
     def update(
         self, s: float, path: Trajectory, seen: Seen, still: bool = False, **options
-    ) -> Course[float]:
-        """By what is seen when `s` [m] is laid, at the end of a path; root mean square of what
-        lies against what was believed before [m]. Nothing has changed since the last look if the
-        grip stood `still`."""
+    ) -> Course[tuple[float, Laid]]:
+        """By what is seen when `s` [m] is laid, at the end of a path: root mean square of what lies
+        against what was believed before [m], and what is believed to lie since. Nothing has changed
+        since the last picture if the grip stood `still`."""
         laid = yield from self.lay(path, Directions.of_rod(len(path)), **options)
         residual = seen.place - interpolated(laid.arc_length, laid.centerline, seen.arc_length)
         rates = [interpolated(laid.arc_length, c, seen.arc_length) for c in laid.tangent]
-        rates[0] *= self.trial(path).friction.static  # by its logarithm
+        mu = self.trial(path).friction.static
+        rates[0] *= mu  # by its logarithm
         shifts = np.zeros((2, *residual.shape))
         shifts[0, :, 0] = shifts[1, :, 1] = 1.0
         matrix = np.concatenate([rates, shifts]).reshape(5, -1).T * _DOUBT
@@ -115,8 +121,16 @@ class Beliefs:
         information = (matrix.T * weight) @ matrix
         pull = (matrix.T * weight) @ residual.ravel()
         step = self._renewed(information, pull, still)
-        self.mean = self.mean + step * min(1.0, _MOST_CHANGE / np.abs(step).max())
-        return float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
+        step *= min(1.0, _MOST_CHANGE / np.abs(step).max())
+        self.mean = self.mean + step
+        misfit = float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
+        if np.abs(step).max() > _LINEAR:
+            return misfit, (yield from self.lay(path, **options))
+        change = step * _DOUBT
+        change[0] *= mu
+        moved = laid.centerline + np.tensordot(change[:3], laid.tangent, 1)
+        moved[:, :2] += change[3:]
+        return misfit, replace(laid, centerline=moved)
 
     def _renewed(
         self, information: np.ndarray, pull: np.ndarray, still: bool = False
@@ -162,7 +176,7 @@ class Beside:
     def __init__(self) -> None:
         self.mean = np.zeros((len(_BESIDE), 2))
         self.covariance = _BESIDE[:, None, None] ** 2 * np.eye(2)
-        self.evidence = np.zeros(len(_BESIDE))
+        self.evidence = np.log(_LIKELY)
         self.gone = 0.0
 
     def told(self, laid: Laid, s: float, seen: Seen, gone: float) -> np.ndarray:

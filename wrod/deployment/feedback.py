@@ -42,7 +42,7 @@ _SIZE, _ROUGHNESS = 2e-4, 2e-4
 _STEP, _SHORTER, _SHORT, _LONGER, _KEPT_PROMISE = 0.35, 0.3, 0.5, 2.0, 0.5
 # So many steps at most, and none that would save less by its model than that part, or than a root
 # mean square of that [m].
-_STEPS, _DONE, _FELT = 10, 0.1, 5e-5
+_STEPS, _DONE, _FELT = 10, 0.03, 5e-5
 # Damping of a step, relative to errors of 1 L_gb, that is tried first where it would be too large.
 _DAMPING = 1e-6
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
@@ -53,13 +53,11 @@ _FIXED = 2
 # contact, from where it begins to err by a share of that on, and from that much before, so that the
 # grip is where it belongs when the contact comes there [m]; if the mean error of all is less by so
 # much then [m]; so many times at most.
-_WRONG, _LOOKED_AT, _BEGINS, _BEFORE = 4e-4, 0.1, 0.5, 0.05
+_WRONG, _LOOKED_AT, _BEGINS, _BEFORE = 3e-4, 0.1, 0.5, 0.05
 _GAIN, _MOST_TIMES = 2e-5, 8
 # And if it is likelier to be seen so than on the pattern, by twice the logarithm: three deviations
 # of the camera's noise.
 _BEYOND_NOISE = 9.0
-# Pictures of the first look, while the grip stands and what is held can still be put down anew.
-_PICTURES = 4
 
 
 @checked_fields(
@@ -148,9 +146,9 @@ def lay_with_feedback(
 ) -> Followed:
     """Lay a rod that differs from the one believed in, looking at it on the way.
 
-    The first look, of some pictures, comes before the free end is let go: all is then begun anew,
-    the held end put down and the path corrected from there on for the rod that is believed in now,
-    so that an offset of the robot that is seen then does no harm.
+    The first look comes before the free end is let go: all is then begun anew, the held end put
+    down and the path corrected from there on for the rod that is believed in now, so that an offset
+    of the robot that is seen then does no harm.
 
     Args:
         pattern: with the remainder that the trajectory lays.
@@ -214,27 +212,30 @@ def following(
     path, looks = way.until(gone).path, []
     held: dict[str, Any] = {"release": gone + hold}
     laid = yield from really(path, **held)
-    for picture in range(_PICTURES):
+    for picture in range(sight.pictures):
         seen, still = Seen.of(laid, gone, sight, rng), picture > 0
-        misfit = yield from beliefs.update(gone, path, seen, still=still, **held)
+        misfit, _ = yield from beliefs.update(gone, path, seen, still=still, **held)
     if known:
         beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
     looks.append(_look(beliefs, path, gone, misfit, None))
     way, beliefs.placed = yield from _Now(beliefs, way, gone, np.zeros(2), horizon).begun()
-    gone += every
-    while gone < way.end - 0.5 * every:
-        path, at = way.until(gone).path, way.laid_at(gone)
-        seen = Seen.of((yield from really(path)), at, sight, rng)
-        misfit = yield from beliefs.update(at, path, seen)
-        if known:
-            beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
-        laid = yield from beliefs.lay(path)
-        now = _Now(beliefs, way, gone, beside.told(laid, at, seen, gone), horizon)
-        told = doubted(laid, pattern, at, seen) > _BEYOND_NOISE
+    while gone + every < way.end - 0.5 * every:
+        told = 0.0
+        for to in np.linspace(gone, gone + every, sight.pictures + 1)[1:]:
+            path, at = way.until(to).path, way.laid_at(to)
+            seen = Seen.of((yield from really(path)), at, sight, rng)
+            misfit, laid = yield from beliefs.update(at, path, seen)
+            if known:
+                beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
+                laid = yield from beliefs.lay(path)
+            aside = beside.told(laid, at, seen, to)
+            told += doubted(laid, pattern, at, seen)
         times = sum(look.back is not None for look in looks)
-        way, gone, back = yield from now.replanned(again and told and times < _MOST_TIMES)
+        now = _Now(beliefs, way, float(to), aside, horizon)
+        way, gone, back = yield from now.replanned(
+            again and told > _BEYOND_NOISE and times < _MOST_TIMES
+        )
         looks.append(_look(beliefs, path, at, misfit, back))
-        gone += every
     return Followed(way.path, (yield from really(way.path)), looks)
 
 

@@ -22,6 +22,8 @@ class Sight:
             [m].
         hanging: standard deviation of each of three coordinates of the rod that hangs, as a camera
             at the side measures it [m]; infinite: nothing looks there.
+        pictures: of a look, each with its own noise: of the first while the grip stands, of others
+            on the way from the last look.
         seed: of the noise.
     """
 
@@ -29,13 +31,15 @@ class Sight:
     spacing: float = 0.01
     hidden: float = 0.03
     hanging: float = 1e-3
+    pictures: int = 3
     seed: int = 0
 
     def __post_init__(self) -> None:
         length = arguments.number(0.0, 100.0)
         blind = isinstance(self.hanging, float) and self.hanging == np.inf
         checks = {"noise": length, "spacing": arguments.number(1e-4, 100.0), "hidden": length,
-                  "hanging": length, "seed": arguments.whole()}  # fmt: skip
+                  "hanging": length, "pictures": arguments.whole(1, 1000),
+                  "seed": arguments.whole()}  # fmt: skip
         for name, value in vars(self).items():
             wrong = None if name == "hanging" and blind else checks[name](value)
             if wrong is not None:
