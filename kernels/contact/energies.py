@@ -87,7 +87,7 @@ def add_pair_energy(
         j = partner[r, i, k]
         p = m.radius[r, i] + m.radius[r, j] - nearest_of_edges(m, dof, r, i, j).distance
         if p > ZERO:
-            held = HALF * law.stiffness * wp.length_sq(rubbing.bristle[r, i, k])
+            held = HALF * law.tangential * wp.length_sq(rubbing.bristle[r, i, k])
             normal = normal_energy(p, law.stiffness, law.skin)
             hard = law.hardening * law.stiffness
             normal += normal_energy(p - law.hard_depth, hard, law.hard_skin)

@@ -31,10 +31,12 @@ EVERY = wp.constant(2)
 
 @wp.struct
 class PairLaw:
-    """What all pairs of a rod share: stiffness, skin, relaxation time of the normal force, from
-    which depth on, over what way and by how much it hardens, and the coefficients of friction."""
+    """What all pairs of a rod share: stiffness, that of bristles, skin, relaxation time of the
+    normal force, from which depth on, over what way and by how much it hardens, and the
+    coefficients of friction."""
 
     stiffness: wp.float64
+    tangential: wp.float64
     skin: wp.float64
     relaxation: wp.float64
     hard_depth: wp.float64
@@ -59,7 +61,8 @@ class Pieces:
 class Rubbing:
     """Friction in a step: (rod, piece, partner) bristles in the pair's own frame, loads that bound
     them, and whether they slid in the last step; (rod,) which bristles hold any load. From
-    iteration to iteration: which way each slid, and 1 where that turned round, fading."""
+    iteration to iteration: which way each slid, and 1 where that turned round, fading; (rod,)
+    whether some hold more than they can because of that."""
 
     bristle: wp.array3d(dtype=wp.vec2d)
     load: wp.array3d(dtype=wp.float64)
@@ -67,6 +70,7 @@ class Rubbing:
     sticking: wp.array(dtype=wp.int32)
     way: wp.array3d(dtype=wp.vec2d)
     turned: wp.array3d(dtype=wp.float64)
+    overheld: wp.array(dtype=wp.int32)
 
 
 @wp.struct
@@ -214,24 +218,24 @@ def pair_contact(
         stretch = b1 * e1 + b2 * e2
         size = wp.length(stretch)
         mu = wp.where(sliding != 0, law.kinetic_friction, law.static_friction)
-        limit = mu * rubbing.load[r, i, k] / law.stiffness
-        out.tangential = law.stiffness * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
+        limit = mu * rubbing.load[r, i, k] / law.tangential
+        out.tangential = law.tangential * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
         out.bristle = wp.vec2d(b1, b2)
         if size > limit or limit == ZERO:
             # Also without friction, where the bristle never holds.
             size = wp.max(size, wp.float64(1.0e-30))
             out.slid = size - limit
-            holds = sticks == EVERY or (sticks == HELD and sliding == 0)
+            turned = rubbing.turned[r, i, k]
+            holds = sticks == EVERY or (sticks == HELD and sliding == 0) or turned == ONE
             if limit == ZERO or not holds:
                 shrink = limit / size
                 out.bristle = shrink * out.bristle
                 along = stretch / size
-                # Newton would throw from side to side what slides to and fro from iteration to
-                # iteration: it gets the secant's stiffness along its way for a while.
-                rest = (ONE - rubbing.turned[r, i, k]) * law.stiffness
+                # What has turned round lately keeps a part of the secant's stiffness.
+                rest = (ONE - turned) * law.tangential
                 out.tangential = shrink * (out.tangential - rest * wp.outer(along, along))
                 stretch = shrink * stretch
-        out.pull = law.stiffness * stretch
+        out.pull = law.tangential * stretch
     return out
 
 

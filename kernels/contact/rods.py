@@ -109,15 +109,17 @@ def rod_contact(
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
         sticks = rubbing.sticking[r]
+        rubbing.turned[r, i, k] = FADING * rubbing.turned[r, i, k]
         c = pair_contact(m, rubbing, step[r], dof, dof_before, sticks, r, i, j, k)
         depth_out[r, i, k] = m.radius[r, i] + m.radius[r, j] - c.near.distance
-        turned = wp.float64(FADING * rubbing.turned[r, i, k])
         if c.slid > ZERO and wp.length(c.bristle) > ZERO:
             way = wp.normalize(c.bristle)
             if wp.dot(way, rubbing.way[r, i, k]) < ZERO:
-                turned = ONE
+                # Newton would throw from side to side what slides to and fro: in between it sticks.
+                rubbing.turned[r, i, k] = ONE
+                rubbing.overheld[r] = 1
+                c = pair_contact(m, rubbing, step[r], dof, dof_before, sticks, r, i, j, k)
             rubbing.way[r, i, k] = way
-        rubbing.turned[r, i, k] = turned
         if c.force > ZERO:
             load = rubbing.load[r, i, k]
             if c.slid > ZERO and load > ZERO:
@@ -229,7 +231,7 @@ def renew_loads(
         if c.force > ZERO and wp.abs(c.force - old) > STALE * wp.max(c.force, old):
             slides = rubbing.sliding[r, i, k] != 0
             mu = wp.where(slides, m.law[r].kinetic_friction, m.law[r].static_friction)
-            wanted = wp.length(c.pull) + m.law[r].stiffness * c.slid
+            wanted = wp.length(c.pull) + m.law[r].tangential * c.slid
             if mu > ZERO and wanted > mu * wp.min(c.force, old):
                 rubbing.load[r, i, k] = c.force
                 wp.atomic_max(renewed_out, r, 1)

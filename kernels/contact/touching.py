@@ -192,6 +192,7 @@ def refuse_large_steps(
     sticking: wp.array(dtype=wp.int32),
     overloaded: wp.array(dtype=wp.int32),
     # State in and out:
+    overheld: wp.array(dtype=wp.int32),
     renewed: wp.array(dtype=wp.int32),
     renewals: wp.array(dtype=wp.int32),
     converged: wp.array(dtype=wp.int32),
@@ -201,7 +202,10 @@ def refuse_large_steps(
     lists of partners were made, and no pair is deeper than half a radius: then centrelines that
     were apart cannot have crossed. Nor does one in which a pair met too fast (2 in `renewed`)."""
     r, lane = wp.tid()
+    held = overheld[r] != 0
     if converged[r] == 0:
+        if lane == 0:
+            overheld[r] = 0
         if lane == 0 and renewed[r] != 0:
             if renewed[r] == 2:
                 active[r] = 0  # before more is done for a step that cannot stand
@@ -223,11 +227,12 @@ def refuse_large_steps(
     stale = renewed[r] == 1
     fast = renewed[r] == 2
     renewed[r] = 0
+    overheld[r] = 0
     if stale:
         renewals[r] = renewals[r] + 1
     if fast:
         converged[r] = 0
-    elif stale or (sticking[r] != 0 and overloaded[r] != 0):
+    elif stale or held or (sticking[r] != 0 and overloaded[r] != 0):
         # In balance only under loads of before, or with bristles that hold more than they can:
         # iterate.
         converged[r] = 0

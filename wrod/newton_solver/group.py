@@ -19,10 +19,12 @@ from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
 
 # Rods against each other: at least this stiff, in EA / radius, or by so many times an edge's weight
-# over the radius, for what falls on soft ones; in what part of the radius the force rises; and by
-# how much those harden that are pressed in deep. As stiff from the start and as gently as tight
-# knots want it, a pile needs nearly twice as many iterations.
+# over the radius, for what falls on soft ones; in what part of the radius the force rises; by how
+# much those harden that are pressed in deep; and how stiff what sticks is over that. As stiff from
+# the start and as gently as tight knots want it, a pile needs nearly twice as many iterations, and
+# as stiff along each other nearly twice as many again.
 _PAIR_STIFFNESS, _PAIR_WEIGHTS, _PAIR_SKIN, _PAIR_HARDENING = 0.2, 6000.0, 1e-3, 20.0
+_PAIR_TANGENTIAL = 0.1
 # How far nodes may go in a step over the radius, and how many edges one may be near to: for heaps.
 _WAY, _PARTNERS = 1.25, 64
 _STANDARD_GRAVITY = 9.81
@@ -149,6 +151,7 @@ class RodGroup:
             radius,
             Friction(friction),
             stiffness=stiffness,
+            tangential=_PAIR_TANGENTIAL,
             skin=_PAIR_SKIN,
             hardening=_PAIR_HARDENING,
             way=_WAY,

@@ -132,9 +132,9 @@ class SolverDER(RodBuilding, SolverBase):
             rod_contact: Friction coefficient of rods that touch each other, and themselves, but
                 for those added with `touches_rods=False`. All rods of a world then share their
                 steps. Defaults to None: they pass through each other.
-            rod_stiffness: Normal and tangential stiffness of a place where rods touch [N/m].
-                Defaults to EA / (5 radius), or 6000 times an edge's weight on Earth over the
-                radius if more. Tight knots want fifty times the first.
+            rod_stiffness: Normal stiffness of a place where rods touch [N/m], and ten times the
+                tangential one. Defaults to EA / (5 radius), or 6000 times an edge's weight on Earth
+                over the radius if more. Tight knots want fifty times the first.
             smooth_rods: Rods touch without corners along them, as what crosses and slides wants;
                 what winds around itself or others wants edges.
             bodies: Which bodies this solver moves: "free", all free ones that hold rods, "none", or

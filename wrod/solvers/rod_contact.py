@@ -47,8 +47,8 @@ class RodContact:
         batch: the rods, already cut (`RodBatch.cut`) where several share a row.
         radius: (rod,) or (rod, node - 1) radius of the section, or of every edge [length].
         friction: one for all rows, or one per row; `rolling` is without effect here.
-        stiffness: (rod,) normal and tangential stiffness of a pair [force/length]; default:
-            10 EA / radius.
+        stiffness: (rod,) normal stiffness of a pair [force/length]; default: 10 EA / radius.
+        tangential: tangential stiffness of a pair that sticks, over the normal one.
         restitution: (rod,) speed after an impact over that before; see `Contact`.
         skin: part of the radius over which the normal force rises quadratically. Newton halves the
             depth of what is pressed in that at best, so that loads should reach beyond it.
@@ -79,6 +79,7 @@ class RodContact:
         radius=arguments.numbers_of_any_shape,
         friction=arguments.either(_IS_FRICTION, arguments.several(_IS_FRICTION)),
         stiffness=arguments.optional(arguments.array((), (None,))),
+        tangential=arguments.number(1e-4, 1.0),
         restitution=arguments.array((), (None,)),
         skin=arguments.number(1e-6, 1.0),
         hardening=arguments.number(0.0, 1e3),
@@ -93,6 +94,7 @@ class RodContact:
         friction: Friction | list[Friction],
         *,
         stiffness: np.ndarray | float | None = None,
+        tangential: float = 1.0,
         restitution: np.ndarray | float = 0.0,
         skin: float = _SKIN,
         hardening: float = 0.0,
@@ -126,6 +128,7 @@ class RodContact:
         # Two edges that meet move as one of half their mass.
         time = np.sqrt(0.5 * batch.node_mass.numpy().mean(axis=1) / stiffness)
         law = _laws(friction, mean_radius, stiffness, skin, hardening)
+        law["tangential"] = tangential * stiffness
         law["relaxation"] = contact_damping(restitution) * time
         self.pieces = pieces = pair_contact.Pieces()
         pieces.law = wp.array(law, dtype=pair_contact.PairLaw, device=device)
@@ -156,6 +159,7 @@ class RodContact:
         )
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
         self.rubbing = pair_contact.Rubbing()
+        self.rubbing.overheld = zeros(wp.int32)
         self._share_friction(zeros(wp.vec2d, edges, partners), zeros(wp.float64, edges, partners))
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
@@ -263,6 +267,7 @@ class RodContact:
                 self.overflow,
                 self.sticking,
                 self._overloaded,
+                self.rubbing.overheld,
                 self._renewed,
                 self._renewals,
             ],
@@ -350,7 +355,7 @@ def _splines(cut: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _laws(friction, radius, stiffness, skin: float, hardening: float) -> np.ndarray:
-    """(rod,) laws of pairs, all but their damping."""
+    """(rod,) laws of pairs, all but their bristles and damping."""
     law = np.zeros(len(radius), dtype=pair_contact.PairLaw.numpy_dtype())
     law["stiffness"], law["skin"], law["hardening"] = stiffness, skin * radius, hardening
     law["hard_depth"], law["hard_skin"] = _HARD_DEPTH * radius, _HARD_SKIN * radius
