@@ -291,7 +291,7 @@ def test_what_has_no_gradients_has_none():
     builder = make()
     cable(builder)
     model = taped_step(builder)
-    for name in ("edge_rest_length", "node_softening", "rod_radius", "rod_air_damping"):
+    for name in ("edge_rest_length", "node_softening", "rod_radius"):
         assert getattr(model.der, name).grad is None
     assert all(getattr(model.der, name).grad is not None for name in PROPERTIES)
 

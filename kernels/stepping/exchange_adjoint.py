@@ -347,8 +347,10 @@ def want_damping(
     model: WantedModel,
     # State in and out:
     by_internal_damping: wp.array(dtype=wp.float64),
+    by_air_damping: wp.array(dtype=wp.float64),
 ):
-    """Of nodes' viscous times, to that of their rod. Launched over (row, node)."""
+    """Of nodes' viscous times and air damping, to those of their rod. Launched over (row, node)."""
     r, b = wp.tid()
     t = model.viscous_time[r, b]
     wp.atomic_add(by_internal_damping, rod[r, b], t[0] + t[1] + t[2] + t[3])
+    wp.atomic_add(by_air_damping, rod[r, b], model.air[r, b])

@@ -49,6 +49,7 @@ class WantedModel:
     twisting: wp.array2d(dtype=wp.float64)
     natural_twist: wp.array2d(dtype=wp.float64)
     node_mass: wp.array2d(dtype=wp.float64)
+    air: wp.array2d(dtype=wp.float64)
     viscous_time: wp.array2d(dtype=wp.vec4d)
     gravity: wp.array(dtype=wp.vec3d)
 
@@ -195,6 +196,8 @@ def want_masses(
     # Model:
     air_of_mass: wp.array2d(dtype=wp.float64),
     air_damping: wp.array(dtype=wp.float64),
+    stillest: wp.array(dtype=wp.int32),
+    mass: wp.array2d(dtype=wp.float64),
     node_mass: wp.array2d(dtype=wp.float64),
     load_factor: wp.array(dtype=wp.float64),
     gravity: wp.array(dtype=wp.vec3d),
@@ -207,9 +210,10 @@ def want_masses(
     spins: wp.array2d(dtype=wp.float64),
     model: WantedModel,
 ):
-    """Of gravity and of the nodes' masses, but for their part of the edges' inertia: that is
-    collected in `spins` (rod, piece). `spin_share` (rod, edge) is an edge's inertia per mass of its
-    piece of the row. Launched over (rod, node)."""
+    """Of gravity, of air damping, of which spinning edges know that of node `stillest` (rod,), and
+    of the nodes' masses, but for their part of the edges' inertia: that is collected in `spins`
+    (rod, piece). `spin_share` (rod, edge) is an edge's inertia per mass of its piece of the row.
+    Launched over (rod, node)."""
     r, i = wp.tid()
     if step.active[r] == 0:
         return
@@ -222,11 +226,13 @@ def want_masses(
     a = rate(c, dt, v, node(step.velocity, r, i), node(step.velocity_older, r, i))
     weight = wp.dot(w, a + air_of_mass[r, i] * v - load * gravity[r])
     model.node_mass[r, i] = model.node_mass[r, i] - weight
+    wp.atomic_sub(model.air, r, i, node_mass[r, i] * wp.dot(w, v))
     if i < spin_share.shape[1]:
         k = 4 * i + 3
         spin = difference(c, dt, step.dof[r, k], step.dof_before[r, k], step.dof_older[r, k])
         faster = difference(c, dt, spin, step.velocity[r, k], step.velocity_older[r, k])
         inertia = x[r, 0, k][0] * (faster + air_damping[r] * spin)
+        wp.atomic_sub(model.air, r, stillest[r], mass[r, k] * x[r, 0, k][0] * spin)
         wp.atomic_sub(spins, r, piece[i], spin_share[r, i] * inertia)
 
 

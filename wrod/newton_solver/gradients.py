@@ -20,12 +20,12 @@ from wrod.rods.discretisation import of_free_part
 from wrod.solvers.adjoint import StepAdjoint, require_differentiable
 from wrod.solvers.trace import Record, Trace
 
-# Properties with a gradient: in the order in which `want_properties` takes them, and another.
+# Properties with a gradient: in the order in which `want_properties` takes them, and others.
 _OF_NODES = (
     "edge_stretching_stiffness", "node_bending_stiffness", "node_twisting_stiffness",
     "node_natural_curvature", "node_natural_twist", "node_mass",
 )  # fmt: skip
-PROPERTIES = (*_OF_NODES, "rod_internal_damping")
+PROPERTIES = (*_OF_NODES, "rod_internal_damping", "rod_air_damping")
 _STATE = ("node_q", "node_qd", "edge_director", "edge_spin")
 # Steps of a rod that are kept beside those that it should take: where some have to be cut.
 _SPARE = 6
@@ -256,7 +256,7 @@ class GroupGradients:
             kernels.want_damping,
             self._rod.shape,
             [self._rod, adjoint.model],
-            [model.der.rod_internal_damping.grad],
+            [model.der.rod_internal_damping.grad, model.der.rod_air_damping.grad],
         )
         if self._shapes is not None:
             group.batch.launch(

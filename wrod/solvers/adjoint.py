@@ -150,13 +150,16 @@ class StepAdjoint:
             ("stretching", (rods, nodes - 1), wp.float64), ("bending", (rods, nodes), wp.vec2d),
             ("natural_curvature", (rods, nodes), wp.vec2d),
             ("twisting", (rods, nodes), wp.float64), ("natural_twist", (rods, nodes), wp.float64),
-            ("node_mass", (rods, nodes), wp.float64), ("gravity", (rods,), wp.vec3d),
+            ("node_mass", (rods, nodes), wp.float64), ("air", (rods, nodes), wp.float64),
+            ("gravity", (rods,), wp.vec3d),
             ("viscous_time", self._viscous_time.shape, wp.vec4d),
         ):  # fmt: skip
             setattr(model, name, wp.zeros(shape, dtype=dtype, device=device))
         if air_of_mass is None:
             air_of_mass = np.repeat(dynamics.air_damping.numpy()[:, None], nodes, axis=1)
         self._air_of_mass = wp.array(air_of_mass, dtype=wp.float64, device=device)
+        least = np.argmin(air_of_mass, axis=1)
+        self._stillest = wp.array(least, dtype=wp.int32, device=device)
         # An edge's inertia goes with the mass of its piece of the row.
         ends = np.array([*batch.cut_edges, nodes - 1])
         piece = np.searchsorted(ends, np.arange(nodes))
@@ -345,8 +348,8 @@ class StepAdjoint:
         batch.launch(
             model_adjoint.want_masses,
             (rods, nodes),
-            [self._air_of_mass, self.dynamics.air_damping, batch.node_mass, batch.load_factor]
-            + [record.gravity, self._spin_share, self._piece, step, self._x],
+            [self._air_of_mass, self.dynamics.air_damping, self._stillest, self.dynamics.mass]
+            + [batch.node_mass, batch.load_factor, record.gravity, self._spin_share, self._piece, step, self._x],
             [self._spins, self.model],
         )
         batch.launch(
