@@ -226,9 +226,7 @@ class RodBatch(BatchArrays):
         active = self.every_rod if active is None else active
         if energy:
             out.energy.zero_()
-        out.gradient.zero_()
-        if order == 2:
-            out.hessian.zero_()
+        out.clear(order)
         results = [out.energy if energy else self._nothing, out.gradient, out.hessian]
 
         def launch(kernel, count, inputs, outputs=results):

@@ -45,19 +45,28 @@ class RodState:
 
 @dataclass
 class Derivatives:
-    """Energy (rod,), gradient (rod, dof) and lower band of the Hessian (rod, dof, 11)."""
+    """Energy (rod,), gradient (rod, dof) and lower band of the Hessian (rod, dof, 11), which both
+    are parts of one array."""
 
     energy: wp.array
     gradient: wp.array
     hessian: wp.array
+    _both: wp.array
 
     @classmethod
     def zeros(cls, rod_count: int, dof_count: int, device: str) -> Derivatives:
+        count, width = rod_count * dof_count, HALF_BANDWIDTH + 1
+        both = wp.zeros(count * (width + 1), dtype=wp.float64, device=device)
         return cls(
             wp.zeros(rod_count, dtype=wp.float64, device=device),
-            wp.zeros((rod_count, dof_count), dtype=wp.float64, device=device),
-            wp.zeros((rod_count, dof_count, HALF_BANDWIDTH + 1), dtype=wp.float64, device=device),
+            both[count * width :].reshape((rod_count, dof_count)),
+            both[: count * width].reshape((rod_count, dof_count, width)),
+            both,
         )
+
+    def clear(self, order: int) -> None:
+        """Set the gradient to zero (`order` 1), and the Hessian too (`order` 2)."""
+        (self._both if order == 2 else self.gradient).zero_()
 
 
 def node_positions(dof: np.ndarray) -> np.ndarray:
