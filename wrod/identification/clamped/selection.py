@@ -204,13 +204,16 @@ def _at_noise(laboratory: Laboratory, fit: Fit) -> bool:
 
 
 def _noise_changed(laboratory: Laboratory, current: Fit) -> bool:
-    """Estimate the noise beside a model; whether the model was chosen with another one."""
+    """Estimate the noise beside a model; whether to choose anew with it.
+
+    Poses that scatter hide from equal weights what such weights would show: a twist, say.
+    """
     noise, rates = estimate(laboratory, current.model, current.values)
     if noise.near(laboratory.noise):
         return False
     laboratory.set_noise(noise, rates)
     laboratory.clock.fits.clear()
-    return bool(current.model.effects)
+    return bool(current.model.effects) or any(noise.scatter)
 
 
 def _weighed_anew(laboratory: Laboratory, fit: Fit) -> Fit:
