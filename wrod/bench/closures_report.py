@@ -1,6 +1,6 @@
 """Results of the comparison of closures, told as CSV and Markdown."""
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +33,11 @@ def cells(rows: list[dict]) -> dict[tuple[str, str, float, str], Cell]:
     out = {}
     for key, group in campaign.grouped(rows, KEYS[:4]).items():
         (fifths,) = campaign.mean_of(group, "error_fifths")
-        own = tuple(np.broadcast_to(fifths, 5).tolist()), group[0].get("contact_friction")
-        out[key] = Cell(*astuple(campaign.cell_of(group)), *own)
+        out[key] = Cell(
+            **vars(campaign.cell_of(group)),
+            fifths=tuple(np.broadcast_to(fifths, 5).tolist()),
+            contact_friction=group[0].get("contact_friction"),
+        )
     return out
 
 

@@ -325,10 +325,9 @@ class Pattern:
 
     def _redrawn(self, heading: PPoly, **changed) -> Pattern:
         """The pattern with another heading, and with what else is `changed`."""
-        kept: dict[str, Any] = dict(
-            origin=self._origin, name=self.name, source=self.source, height=self._height,
-            points=self.points, noise=self.noise,
-        )  # fmt: skip
+        kept: dict[str, Any] = {"origin": self._origin, "height": self._height}
+        kept |= {"name": self.name, "source": self.source}
+        kept |= {"points": self.points, "noise": self.noise}
         return Pattern(heading, **kept | changed)
 
     def departure(self) -> tuple[float, float]:

@@ -349,7 +349,8 @@ class StepAdjoint:
             model_adjoint.want_masses,
             (rods, nodes),
             [self._air_of_mass, self.dynamics.air_damping, self._stillest, self.dynamics.mass]
-            + [batch.node_mass, batch.load_factor, record.gravity, self._spin_share, self._piece, step, self._x],
+            + [batch.node_mass, batch.load_factor, record.gravity]
+            + [self._spin_share, self._piece, step, self._x],
             [self._spins, self.model],
         )
         batch.launch(
