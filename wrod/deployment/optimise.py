@@ -53,7 +53,7 @@ _LONGER, _KEPT_PROMISE = 2.0, 0.5
 # Steps of a plan at least, and at most: further ones where the last but one saved this part of the
 # error. A step from so near [L_gb] is not laid by itself: what more steps save from there on, on
 # fine meshes too, unseen rods do not feel.
-_STEPS, _MORE, _SAVED, _NEAR = 2, 6, 0.2, 0.15
+_STEPS, _MORE, _SAVED, _NEAR = 2, 6, 0.2, 0.1
 # Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
 _TOLERANCE = 5e-3
 # Ranges of friction that call for more rods, by the largest over the least.
