@@ -87,7 +87,9 @@ def _dress_picture(file: Path, made: Path, draw) -> str:
 
     with Image.open(file) as opened:
         picture = opened.convert("RGB")
-    kind = draw.choice(["1", "L", "P", "LA", "RGBA", "clear", "I;16", "turned", "packed", "text"])
+    kind = draw.choice(
+        ["1", "L", "P", "LA", "RGBA", "clear", "I;16", "turned", "packed", "text", "several"]
+    )
     options: dict = {}
     if kind == "clear":  # what is not drawn is transparent, and black
         ink = picture.convert("L").point(lambda grey: 255 if grey < 128 else 0)
@@ -100,6 +102,9 @@ def _dress_picture(file: Path, made: Path, draw) -> str:
         picture = picture.transpose(Image.Transpose.ROTATE_270)
     elif kind == "packed":
         options["compress_level"] = 0
+    elif kind == "several":
+        turned = picture.transpose(Image.Transpose.ROTATE_180)
+        options |= {"save_all": True, "append_images": [turned]}
     elif kind == "text":
         from PIL.PngImagePlugin import PngInfo
 

@@ -101,6 +101,10 @@ SCRIPTS = {
     "flips": "cp READ ../good; (while :; do cp ../good READ; printf '{\"a\": [' > READ; done) "
     "& f=$!\nCALL; a=$?; kill $f; wait $f 2> ../log; cp ../good READ; echo EXIT $a\n",
     "read-only input": "chmod 444 READ; CALL; a=$?; chmod 644 READ; echo EXIT $a\n",
+    "json, traced": "export TF_DEBUG=* OPENCV_LOG_LEVEL=VERBOSE\nCALL --json 2> ../log | "
+    "python3 -c 'import json, sys; text = sys.stdin.read()\n"
+    "text and [json.loads(text, parse_constant=int)]'; s=\"${PIPESTATUS[*]}\"\n"
+    "tail -n 3 ../log; echo EXIT $s\n",
     "json": "CALL --json 2> ../log | python3 -c 'import json, sys; text = sys.stdin.read()\n"
     "text and [json.loads(text, parse_constant=int)]'; s=\"${PIPESTATUS[*]}\"\n"
     "cat ../log; echo EXIT $s\n",

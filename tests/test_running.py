@@ -1,6 +1,7 @@
 """How commands end: in one sentence, with the right code, and alone on their output."""
 
 import errno
+import json
 import os
 import signal
 import subprocess
@@ -75,6 +76,7 @@ def test_every_end_is_one_sentence(error, says, code, tmp_path):
         "TQDM_MININTERVAL",
         "NUMPY_MADVISE_HUGEPAGE",
         "OPENCV_IO_MAX_IMAGE_PIXELS",
+        "OPENCV_TRACE",
         "SOURCE_DATE_EPOCH",
     ],
 )
@@ -311,7 +313,7 @@ def test_streams_that_are_closed_take_nothing_away(tmp_path):
         code = subprocess.run(f"{sys.executable} {words} {closed}", shell=True).returncode
         assert code == 0 and "wrod-rod-1" in out.read_text()
         out.unlink()
-    script = "import os, sys; from wrod.commands.running import open_streams; open_streams(); "
+    script = "import os, sys; from wrod.commands.surroundings import open_streams; open_streams(); "
     script += "sys.stderr.write('x'); sys.exit(os.open('/dev/null', os.O_RDONLY) < 3)"
     call = f'{sys.executable} -c "{script}" <&- >&- 2>&-'
     assert subprocess.run(call, shell=True).returncode == 0
@@ -411,3 +413,18 @@ def test_an_empty_place_of_kernels_is_none(tmp_path):
     around = os.environ | {"WARP_CACHE_PATH": ""}
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=around, check=True)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_opencv_tells_of_itself_stays_out_of_json(tmp_path):
+    pytest.importorskip("cv2")
+    from PIL import Image, ImageDraw
+
+    picture = Image.new("RGB", (200, 150), "white")
+    ImageDraw.Draw(picture).line([(30, 70), (170, 75)], fill="black", width=5)
+    picture.save(tmp_path / "line.png")
+    call = [sys.executable, "-m", "wrod", "scan", "line.png", "--scale", "0.0005", "--json"]
+    loud = os.environ | {"OPENCV_LOG_LEVEL": "VERBOSE"}
+    run = subprocess.run(
+        [*call, "--out", "out"], env=loud, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert json.loads(run.stdout)[0]["curves"] == 1

@@ -19,9 +19,11 @@ def blamed_variables(error: BaseException) -> str | None:
         frame.f_globals.get("__name__") for frame, _ in traceback.walk_tb(error.__traceback__)
     ]
     library = str(frames[-1] if frames else "").partition(".")[0]
+    if library == "wrod":  # compiled libraries have no frames of their own
+        library = type(error).__module__.partition(".")[0]
     prefixes = _PREFIXES.get(library, (library.upper(),))
     found = [f"{k}={v!r:.80}" for k, v in os.environ.items() if k.partition("_")[0] in prefixes]
-    if not found or library == "wrod":
+    if not found or library in ("wrod", "builtins"):
         return None
     return (
         f"{library} stops with {type(error).__name__}: {str(error)[:300]}; it reads "

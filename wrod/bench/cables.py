@@ -175,6 +175,8 @@ def command(
         raise DataError(f"{folder}: holds no .npz file of recordings in motion")
     for path in paths:
         count = load_motion(path).recording_count
+        if number > count:
+            raise DataError(f"{path}: {count} recordings make no {number} folds; ask for fewer")
         if count - -(-count // number) < 4:
             raise DataError(
                 f"{path}: {count} recordings in {number} folds leave less than 4 to fit and to "

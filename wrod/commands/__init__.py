@@ -17,10 +17,9 @@ from wrod.commands.running import (
     equipped,
     holding_output,
     interruptible,
-    open_streams,
-    settle_variables,
     stop,
 )
+from wrod.commands.surroundings import open_streams, settle_variables
 from wrod.errors import WrodWarning
 from wrod.files.writing import begin
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from wrod.commands.running import refuse_few_addresses
+from wrod.commands.surroundings import refuse_few_addresses
 
 _DEFAULT_ROBOT = "sawyer"
 

@@ -4,8 +4,6 @@ import contextlib
 import errno
 import functools
 import os
-import re
-import resource
 import signal
 import sys
 import tempfile
@@ -15,6 +13,7 @@ from pathlib import Path
 
 import click
 
+from wrod.commands.surroundings import refuse_few_addresses
 from wrod.errors import DataError, WrodError, blamed_variables
 
 # Exit codes: of input that cannot be used, of interruptions, and of a fault of ours.
@@ -28,8 +27,6 @@ _ENDINGS = {
 _MOST_SAID = 2000  # letters
 # How Python and Warp say that a limit of the process was met.
 _LIMITED = ("can't start new thread", "Failed to load the shared library", "failed to map segment")
-# Bytes of addresses that OpenUSD's threads and libraries take.
-_ADDRESSES = 4 * 2**30
 # The signals that asked the running command to end.
 _STRUCK: list[int] = []
 # Options that name what is written.
@@ -132,53 +129,6 @@ def equipped(command: click.Command, path: str) -> click.Command:
 
     command.callback = guarded
     return command
-
-
-def refuse_few_addresses() -> None:
-    """Refuse a limit of addresses within which OpenUSD crashes, or waits for ever for threads that
-    it did not get.
-
-    Raises:
-        DataError: `ulimit -v` is below that.
-    """
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY and limit < _ADDRESSES:
-        raise DataError(
-            f"scenes need {_ADDRESSES >> 30} GiB of addresses, and this process may have "
-            f"{limit / 2**30:.3g} GiB (ulimit -v); raise that limit"
-        )
-
-
-def settle_variables() -> None:
-    """Refuse what a library reads of the environment and would end the process for, and keep what
-    OpenUSD tells of itself (TF_DEBUG) out of what is printed for machines.
-
-    Raises:
-        DataError: names the variable.
-    """
-    for name in (f"OPENCV_IO_MAX_IMAGE_{what}" for what in ("PIXELS", "WIDTH", "HEIGHT")):
-        if not re.fullmatch("[0-9]{1,18}([KM][Bb]|[km]b)?", os.environ.get(name, "1")):
-            raise DataError(f"{name}={os.environ[name]!r:.80} is no number of OpenCV's; unset it")
-    os.environ["TF_DEBUG_OUTPUT_FILE"] = "stderr"
-    date = "SOURCE_DATE_EPOCH"  # matplotlib's, of PDF
-    if not re.fullmatch("-?[0-9]{1,10}|[0-9]{11}", os.environ.get(date, "0")):
-        raise DataError(f"{date}={os.environ[date]!r:.80} is no date in seconds; unset it")
-
-
-def open_streams() -> None:
-    """Open what the process was started without of its three streams, on nothing.
-
-    Files would take the free numbers 1 and 2 otherwise, and get what libraries print; and progress
-    bars need a stream.
-    """
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
-        if getattr(sys, name) is None:
-            stream = open(number, "r" if number == 0 else "w", closefd=False)  # noqa: SIM115
-            setattr(sys, name, stream)
 
 
 def cut(text: str) -> str:
