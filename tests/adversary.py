@@ -42,6 +42,7 @@ from adversary_material import (
     AROUND_LIMITS,
     AROUND_STREAMS,
     NUMBERS,
+    QUICK,
     VALID,
     WORDS,
     material,
@@ -264,7 +265,7 @@ def work(task: tuple) -> list[tuple]:
             break
         kind, words, around = campaign.drawn(seed, number, only)
         ended, left = run(words, around, folder / "run", files)
-        said = wrong(ended, left, around)
+        said = wrong(ended, left, around, words[0] in QUICK)
         if isinstance(around, tuple) and ended.code == 0 and not said:
             said = campaign.alike(words, around, folder / "run")
         spent = round(ended.seconds, 1)

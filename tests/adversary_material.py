@@ -77,6 +77,8 @@ VALID = {
                           "--out", "{out}"],
     "bench hands": ["--data", "{hands}", "--quick", "--out", "{out}"],
 }  # fmt: skip
+# Of those, what ends in a second or two.
+QUICK = ("loop", "measure", "rods", "show", "markers")
 NUMBERS = (
     "0", "-0", "-0.0", "1", "2", "1e-320", "5e-324", "2.2250738585072014e-308", "1.8e308", "1e308",
     "-1e308", "nan", "-nan", "NAN", "inf", "Infinity", "-Infinity", "0x1p4", "0x10", "0b1", "0o7",

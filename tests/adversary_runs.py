@@ -119,15 +119,17 @@ def _shell(words: list[str], around, out: Path) -> int:
 _BY_FORCE = ("| head", "| true", "ulimit", ">&-", "/dev/full", "2>&1 | head")
 
 
-def wrong(end: End, left: list[str], around) -> str | None:
-    """What is wrong with the end of a call; None if nothing."""
+def wrong(end: End, left: list[str], around, quick: bool = False) -> str | None:
+    """What is wrong with the end of a call; None if nothing. `quick`: it ends in a second or two
+    where nothing is broken."""
     if left:
         return f"left {left[:4]}: exit {end.code}: {end.said[-200:]}"
     devices = {path for path in DEVICES if not stat.S_ISCHR(os.stat(path).st_mode)}
     if devices:
         return f"replaced {devices}"
     if end.code in (-signal.SIGXCPU, 128 + signal.SIGXCPU, -signal.SIGKILL):
-        return None  # it was taken, and works
+        # It was taken, and works; but no variable makes work of what is quick.
+        return "no end" if quick and isinstance(around, dict) else None
     if end.code == 2 and end.seconds > LONGEST and "a worker was ended from outside" in end.said:
         return None  # its worker was at work when the limit of processor time ended it
     if isinstance(around, str) and around.startswith("# "):
