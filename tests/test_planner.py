@@ -302,6 +302,18 @@ def test_trajectory_files_carry_units_and_read_back(tmp_path):
     assert again.metadata == plan.metadata and again.shape is None
 
 
+@pytest.mark.parametrize("by", [[0.0, 0.0, -0.5], [0.0, 0.0, 5.0], [0.0, 0.9, 0.0]])
+def test_a_file_whose_grip_is_where_no_rod_reaches_is_refused(tmp_path, by):
+    plan = wrod.plan(wrod.pattern("letter-U"), ROD, "neural", spacing=0.005)
+    _, path = plan.save(tmp_path / "t")
+    assert len(Trajectory.load(path)) == len(plan)
+    wrong = dict(np.load(path))
+    wrong["position"] += by
+    np.savez(path, **wrong)
+    with pytest.raises(DataError, match="where no such rod hangs"):
+        Trajectory.load(path)
+
+
 @pytest.mark.parametrize("rows", [[0], [40], [-1], range(40, 60), range(50, 109)])
 @pytest.mark.parametrize("by", [[0.5, 0.0, 0.0], [0.0, 0.0, -0.2]])
 def test_a_file_whose_grip_jumps_is_refused(tmp_path, rows, by):

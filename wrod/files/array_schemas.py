@@ -108,7 +108,7 @@ ARRAYS = {
             "rotation": Field(("T", 3, 3), kind="rotations", precision=1e-6),
             "force": Field(("T", 3), "N", -1e12, 1e12, gaps=True),
             "shape": _place("T", "N", 3, needed=False, gaps=True),
-            "twist": Field(("T",), "rad", -1e6, 1e6, needed=False),
+            "twist": Field(("T",), "rad", -1e3, 1e3, needed=False),
             "roll": Field((), "rad", -1e6, 1e6, needed=False),
         },
         format="wrod-trajectory-1",

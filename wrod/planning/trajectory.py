@@ -34,6 +34,9 @@ _ARRAYS = (
 # and a grip that hardly moves beside it counts as one that goes as far as the contact. Fewer ways
 # than that from pose to pose say nothing of what is usual.
 _JUMP, _NO_JUMP, _USUAL, _FEWEST = 10.0, 0.05, 1.0, 6
+# How far a grip may be below the table, or beyond what hangs, by corrections and rounding [m], and
+# how much a rod may be stretched [-].
+_BELOW, _STRETCHED = 0.01, 1.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +169,8 @@ class Trajectory:
         """Read a trajectory's NPZ file.
 
         Raises:
-            DataError: the file is missing, truncated or not a trajectory, or its grip jumps.
+            DataError: the file is missing, truncated or not a trajectory, or its grip jumps, is
+                below the table, or farther from the contact than rod hangs there.
         """
         data = read_fields(path, "Trajectory")
         label, what = data.pop("metadata", "{}"), "the metadata of a trajectory"
@@ -179,7 +183,24 @@ class Trajectory:
         except RodError as reason:
             raise DataError(f"{path}: metadata: rod: {reason}; plan it again") from None
         _refuse_jumps(loaded, path)
+        _refuse_out_of_reach(loaded, path)
         return loaded
+
+
+def _refuse_out_of_reach(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
+    """Refuse a grip where no rod that hangs from it can touch down."""
+    way = trajectory.position - trajectory.contact
+    wrong, rod = way[:, 2] < -_BELOW, trajectory.rod
+    if rod is not None:
+        hangs = rod.length - trajectory.arc_length
+        wrong |= np.linalg.norm(way, axis=1) > _STRETCHED * hangs + _BELOW
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise DataError(
+            f"{path}: position: contact node {k}: the grip is {np.linalg.norm(way[k]):.3g} m from "
+            f"the contact and {way[k, 2]:.3g} m above the table, where no such rod hangs; plan it "
+            "again"
+        )
 
 
 def _refuse_jumps(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
