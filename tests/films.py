@@ -80,15 +80,15 @@ def carry(path, speed: float) -> np.ndarray:
     return poses
 
 
-def knot_film(case: str) -> SimpleNamespace:
-    """What `wrod.scene.tying.export_scene` takes, for a shipped knot."""
+def knot_film(case: str, steps: int | None = None) -> SimpleNamespace:
+    """What `wrod.scene.tying.export_scene` takes, for a shipped knot or its last few steps."""
     plan, film = knot_plan(case), Film()
     patterns, starts = [], []
     for pattern, rod in plan.rods:
         starts.append(len(film.hands))
         patterns.append(lay(film, pattern, rod, 0.03))
     lines = [line(p, rod) for p, (_, rod) in zip(patterns, plan.rods, strict=True)]
-    for step in plan.steps:
+    for step in plan.steps[-steps if steps else None :]:
         film.rest(1.2)
         poses = {}
         for move in step:

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cli import done, refused
+from cli import done, refused, told
 from wrod.training import dataset, store
 from wrod.training.dataset import Rank, generate, load
 from wrod.training.sampling import RANGE, RodInputs, sample, sample_worst
@@ -112,6 +112,23 @@ def test_killed_and_run_again_gives_the_same_bytes(whole, tmp_path):
     assert contents(tmp_path) == contents(whole)
 
 
+SHARES = [(0, 2, 40), (1, 2, 32)]
+
+
+def test_ranks_give_the_same_bytes(whole, tmp_path, monkeypatch):
+    """As torchrun names them; they need no word with each other."""
+    reports = []
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", "2")
+    for rank in "10":
+        monkeypatch.setenv("RANK", rank)
+        monkeypatch.setenv("LOCAL_RANK", rank)
+        reports.append(told("dataset", *OPTIONS, "--json", "--out", tmp_path))
+    assert sorted((r["rank"], r["ranks"], r["samples"]) for r in reports) == SHARES
+    assert contents(tmp_path) == contents(whole)
+
+
+@pytest.mark.slow
 def test_torchrun_gives_the_same_bytes(whole, tmp_path):
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
     result = subprocess.run(
@@ -120,10 +137,7 @@ def test_torchrun_gives_the_same_bytes(whole, tmp_path):
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
     reports = [json.loads(line) for line in result.stdout.splitlines() if line.startswith("{")]
-    assert sorted((r["rank"], r["ranks"], r["samples"]) for r in reports) == [
-        (0, 2, 40),
-        (1, 2, 32),
-    ]
+    assert sorted((r["rank"], r["ranks"], r["samples"]) for r in reports) == SHARES
     assert contents(tmp_path) == contents(whole)
 
 

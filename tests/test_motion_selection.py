@@ -36,14 +36,12 @@ def measured():
     swing = 0.05 * np.concatenate([np.sin(6 * time + phase), np.cos(5 * time + phase)], axis=2)
     positions = np.broadcast_to(arc, (RECORDINGS, FRAMES, MARKERS, 3)).copy()
     positions[..., :2] += swing[:, :, None]
-    return motion_from_arrays(
-        {
-            "positions": positions,
-            "rate_hz": 100.0,
-            "held": np.array([0, 1, MARKERS - 2, MARKERS - 1]),
-            "gravity": 9.81,
-        }
-    )
+    return motion_from_arrays(recorded(positions))
+
+
+def recorded(positions) -> dict:
+    held = np.array([0, 1, MARKERS - 2, MARKERS - 1])
+    return {"positions": positions, "rate_hz": 100.0, "held": held, "gravity": 9.81}
 
 
 @pytest.mark.parametrize("contiguous", [False, True])
@@ -260,13 +258,7 @@ def test_shares_add_up_to_the_drop():
 
 
 def test_too_many_folds_are_named(measured, tmp_path):
-    np.savez(
-        tmp_path / "rod.npz",
-        positions=measured.positions[:4],
-        rate_hz=100.0,
-        held=np.array([0, 1, MARKERS - 2, MARKERS - 1]),
-        gravity=9.81,
-    )
+    np.savez(tmp_path / "rod.npz", **recorded(measured.positions[:4]))
     result = CliRunner().invoke(command, ["--data", str(tmp_path), "--folds", "4"])
     assert "4 recordings in 4 folds leave less than 4" in str(result.exception)
 

@@ -22,11 +22,11 @@ from wrod.scene.moments import moments
 from wrod.scene.tying import export_scene
 from wrod.scene.validate import open_stage, validation_errors
 
-# One of two rods and one with fixtures; the others differ in their ways alone.
+# The end of one of two rods, and one with fixtures; the others differ in their ways alone.
 CASES = (
-    "reef",
+    "end of reef",
     "U cable",
-    *(pytest.param(c, marks=pytest.mark.slow) for c in ("trefoil", "S cable")),
+    *(pytest.param(c, marks=pytest.mark.slow) for c in ("reef", "trefoil", "S cable")),
 )
 
 
@@ -37,7 +37,10 @@ def run(request, tmp_path_factory):
 
     torch.set_num_threads(1)
     case = request.param
-    given = films.cable_film(case) if case.endswith("cable") else films.knot_film(case)
+    if case.endswith("cable"):
+        given = films.cable_film(case)
+    else:
+        given = films.knot_film(case.removeprefix("end of "), 1 if "end" in case else None)
     path = tmp_path_factory.mktemp("scene") / "scene.usdc"
     scene = export_scene(path, **vars(given), facts={"case": case})
     return SimpleNamespace(case=case, film=given, scene=scene)

@@ -43,8 +43,8 @@ def hanging(rod, *, trials=12, markers=31, seed=0):
     }
 
 
-def made(experiment, seed=0, **options):
-    return measurements_from_arrays(measured(hanging(ROD, seed=seed), experiment, **options))
+def made(experiment, seed=0, trials=12):
+    return measurements_from_arrays(measured(hanging(ROD, seed=seed, trials=trials), experiment))
 
 
 class Thread(Effect):
@@ -75,7 +75,9 @@ def test_base_model_agrees_with_the_continuum():
 
 def test_an_effect_of_our_own_invention_is_found():
     pull = Experiment(force=lambda s: np.array([[0.0], [0.02], [0.0]]) * around(s, 0.31, 0.004))
-    report = identify(made(pull), candidates=[Thread(), "natural_curvature", "gravity_tilt"])
+    report = identify(
+        made(pull, trials=8), candidates=[Thread(), "natural_curvature", "gravity_tilt"]
+    )
     assert report.verdict == "explained"
     assert [e.name for e in report.effects] == ["thread"]
     found = report.effects[0].parameters
