@@ -272,8 +272,8 @@ def knot():
 def joint_path():
     return dict(
         trajectory=path(), robot="sawyer", placement="auto", grip_angle="auto",
-        gripper_length=None, flange=None, tip=None, table_height=None, obstacles=None,
-        grip_speed=0.02, rate=100.0, limit_margin=0.02, clearance=0.005, rod_radius=0.004,
+        table_height=None, obstacles=None, grip_speed=0.02, rate=100.0, limit_margin=0.02,
+        clearance=0.005,
     )  # fmt: skip
 
 
@@ -600,6 +600,12 @@ CALLS = {
     "measure_deployment": lambda: (
         wrod.measure_deployment,
         dict(image=picture(), pattern=line(), points=50, picture=None, scale=0.001),
+    ),
+    "load_robot": lambda: (
+        wrod.load_robot,
+        dict(
+            robot="panda", flange=None, tip=None, gripper_length=0.15, acceleration=2.0, jerk=20.0,
+        ),
     ),
     "solve_joint_path": lambda: (wrod.solve_joint_path, joint_path()),
     "export_usd": lambda: (

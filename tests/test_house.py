@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 # Public signatures, whose keywords are their users', and that of deployments with derivatives.
-WIDE = 8
+WIDE = 7
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ def job(line):
     import torch
 
     torch.set_num_threads(1)
-    return wrod.solve_joint_path(line, "ur5e", whole_job=True, rod_radius=0.0016)
+    return wrod.solve_joint_path(line, "ur5e", whole_job=True)
 
 
 def part(job, name):

@@ -328,7 +328,7 @@ def test_an_arm_follows_as_much_of_a_correction_as_it_can(bend):
         def __init__(self, reach):
             self.reach = reach
 
-        def solve(self, trajectory, rod):
+        def solve(self, trajectory):
             tried.append(np.linalg.norm(trajectory.position - start.position, axis=1).max())
             if tried[-1] > self.reach:
                 raise UnreachedError.__new__(UnreachedError)
@@ -346,16 +346,16 @@ def test_an_arm_follows_as_much_of_a_correction_as_it_can(bend):
     ):  # fmt: skip
         within["share"] = limited
         tried.clear()
-        path, followed = _followed(Arm(reach), corrected, ROD, softer)
+        path, followed = _followed(Arm(reach), corrected, softer)
         assert path == "joint path"
         assert followed.metadata["optimised"].get("share") == share
         moved = np.linalg.norm(followed.position - start.position, axis=1).max()
         assert moved == pytest.approx(most * (1.0 if share is None else share), abs=1e-12)
     assert followed.metadata["optimised"]["largest_correction"] == 0.0
     with pytest.raises(UnreachedError):
-        _followed(Arm(-1.0), corrected, ROD, softer)
+        _followed(Arm(-1.0), corrected, softer)
     with pytest.raises(UnreachedError):  # nothing to take back
-        _followed(Arm(0.001), corrected, ROD, None)
+        _followed(Arm(0.001), corrected, None)
 
 
 class _Wall:

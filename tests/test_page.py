@@ -35,7 +35,7 @@ def arm_page(tmp_path_factory):
     rod = wrod.rod("green-vps")
     pattern = wrod.Pattern.from_expression("0*x", start=0.0, stop=0.4, name="line")
     trajectory = wrod.plan(pattern, rod, method="numeric", spacing=0.01)
-    path = wrod.solve_joint_path(trajectory, rod_radius=rod.radius, whole_job=True)
+    path = wrod.solve_joint_path(trajectory, whole_job=True)
     out = tmp_path_factory.mktemp("page") / "scene.html"
     return write_deployment_page(out, trajectory, path, pattern=pattern, rod=rod)
 

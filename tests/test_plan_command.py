@@ -259,7 +259,7 @@ def test_only_what_was_solved_is_said_to_help(capsys):
     from wrod.commands.plan_steps import fitting
     from wrod.errors import PatternError, RobotError
 
-    def solve(trajectory, rod):
+    def solve(trajectory):
         if trajectory > 0.7:
             raise RobotError("no joint path")
 
@@ -301,7 +301,7 @@ def test_sizes_are_tried_as_the_printed_command_plans_them(tmp_path, monkeypatch
     out = (0.02 + 0.012 * angle)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     np.savetxt(tmp_path / "spiral.csv", out, delimiter=",")
     tried = []
-    monkeypatch.setattr(RobotRequest, "solve", lambda self, path, rod: tried.append(path))
+    monkeypatch.setattr(RobotRequest, "solve", lambda self, path: tried.append(path))
     words = ["plan", str(tmp_path / "spiral.csv"), "--rod", "green-vps", "--spacing", "0.02"]
     words += ["--no-shapes", "--no-expect", "--device", "cpu", "--out", str(tmp_path / "o")]
     result = CliRunner().invoke(main, words)

@@ -32,6 +32,7 @@ from .perception.trace import trace_centerlines as trace_centerlines
 from .planning.friction import friction_bound as friction_bound
 from .planning.trajectory import Trajectory as Trajectory
 from .robot.joint_path import JointPath as JointPath
+from .robot.model import load_robot as load_robot
 from .robot.solve import solve_joint_path as solve_joint_path
 from .rods.batch import RodBatch as RodBatch
 from .rods.catalogue import rod as rod

@@ -178,9 +178,7 @@ def run_case(
             curve = read_pattern(pattern, folder)
             trajectory = with_shapes(wrod.plan(curve, wrod.rod(rod_name), method=method))
         started = time.process_time()
-        path = wrod.solve_joint_path(
-            trajectory, robot, whole_job=True, rod_radius=wrod.rod(rod_name).radius
-        )
+        path = wrod.solve_joint_path(trajectory, robot, whole_job=True)
         row |= {"cpu": time.process_time() - started}
         if scene:
             row |= {"scene_faults": _scene_faults(trajectory, path, curve, wrod.rod(rod_name))}

@@ -61,12 +61,12 @@ def within_speed(request, pace, planned):
 
     if not isinstance(pace, tuple) or request.no_robot:
         return pace
-    fitted, _, start = planned()
+    *_, start = planned()
     low, high = sorted(pace)
     # On a straight line a grip goes down as fast as forward.
     asked = math.sqrt(2.0) * high
     try:
-        path = request.solve(start, fitted.rod, grip_speed=asked, whole_job=False)
+        path = request.solve(start, grip_speed=asked, whole_job=False)
     except RobotError:
         return pace  # said when the corrected plan is followed
     return low, max(low, high * min(path.metadata["grip_speed"] / asked, 1.0))
@@ -130,7 +130,7 @@ def arm_steps(request, out: Path, trajectory, curve, rod, planned, shaping, expe
 
         step("joint path")
         try:
-            joint_path, trajectory = _followed(request, trajectory, rod, softer)
+            joint_path, trajectory = _followed(request, trajectory, softer)
             expected()
         except RobotError as error:
             expected()
@@ -154,7 +154,7 @@ def arm_steps(request, out: Path, trajectory, curve, rod, planned, shaping, expe
         return joint_path, None, written, trajectory
 
 
-def _followed(request, trajectory, rod, softer):
+def _followed(request, trajectory, softer):
     """A joint path, and what it follows: the given trajectory, or one that is corrected less.
 
     Raises:
@@ -165,12 +165,12 @@ def _followed(request, trajectory, rod, softer):
     from wrod.robot.solve import UnreachedError
 
     try:
-        return request.solve(trajectory, rod), trajectory
+        return request.solve(trajectory), trajectory
     except UnreachedError:
         if softer is None:
             raise
         start = softer(0.0)
-        path = request.solve(start, rod)
+        path = request.solve(start)
         click.echo(
             "wrod: the arm cannot follow all of the correction; correcting within what it can do, "
             "which takes as long again",
@@ -179,7 +179,7 @@ def _followed(request, trajectory, rod, softer):
         for how in (path, _SHARE):
             less = softer(how)
             try:
-                return request.solve(less, rod), less
+                return request.solve(less), less
             except UnreachedError:
                 continue
         return path, start
@@ -239,10 +239,10 @@ def _room(request, planned, shaping, change: dict, seconds: float) -> float | No
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            fitted, _, trajectory = planned(
+            *_, trajectory = planned(
                 replace(shaping, **shape), led=change.get("remainder"), spin=change.get("spin")
             )
-            path = wanted.solve(trajectory, fitted.rod, time_limit=seconds)
+            path = wanted.solve(trajectory, time_limit=seconds)
     except WrodError:
         return None
     return path.metadata["limit_margin"]
@@ -334,7 +334,7 @@ def fitting(request, tries, planned, reason) -> str:
                 warnings.simplefilter("ignore")
                 fitted, _, trajectory = planned(shaping, tried=True, **asked)
                 rod = fitted.rod
-                request.solve(trajectory, rod, **limit)
+                request.solve(trajectory, **limit)
         except UnreachedError as error:
             return None, spins(error.task, rod)
         except WrodError:

@@ -167,7 +167,7 @@ class RobotRequest:
         if given:
             raise RobotError(f"--no-robot and {', '.join(given)} exclude each other; drop either")
 
-    def solve(self, trajectory, rod, **changes):
+    def solve(self, trajectory, **changes):
         """The joint path of a trajectory.
 
         Args:
@@ -177,17 +177,17 @@ class RobotRequest:
             RobotError: there is none.
         """
         from wrod.deployment.corrections import pace_of
+        from wrod.robot.model import load_robot
         from wrod.robot.obstacles import Obstacles
         from wrod.robot.solve import solve_joint_path
 
+        robot = load_robot(
+            self.robot, flange=self.flange, tip=self.tip, gripper_length=self.gripper_length
+        )
         options = {
-            "flange": self.flange,
-            "tip": self.tip,
-            "gripper_length": self.gripper_length,
             "table_height": self.table_height,
             "obstacles": None if self.obstacles is None else Obstacles.load(self.obstacles),
             "placement": self.placement,
-            "rod_radius": rod.radius,
             "whole_job": not self.lay_only,
         }
         pace = pace_of(trajectory)
@@ -196,7 +196,7 @@ class RobotRequest:
         elif pace is not None:
             # On a straight line a grip goes down as fast as forward.
             options["grip_speed"] = math.sqrt(2.0) * pace
-        return solve_joint_path(trajectory, self.robot, **{**options, **changes})
+        return solve_joint_path(trajectory, robot, **{**options, **changes})
 
     def export(self, joint_path, folder) -> list[Path]:
         """Write the formats that were asked for."""

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import RobotError, WrodWarning
 from wrod.robot.urdf import LinkShape, UrdfFile, read_urdf
 from wrod.robot.urdf_checks import chain_limits, check_reach
@@ -100,6 +101,15 @@ class Robot:
         }
 
 
+@arguments.checked(
+    RobotError,
+    robot=arguments.either(arguments.path, arguments.like("a Robot", "joint_names", "chain")),
+    flange=arguments.optional(arguments.text),
+    tip=arguments.optional(arguments.text),
+    gripper_length=arguments.optional(arguments.number(1e-3, 10.0)),
+    acceleration=arguments.optional(arguments.number(1e-3, 1e3)),
+    jerk=arguments.optional(arguments.number(1e-3, 1e5)),
+)
 def load_robot(
     robot: str | os.PathLike[str] | Robot = "sawyer",
     *,

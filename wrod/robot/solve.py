@@ -45,6 +45,7 @@ _LOST = 0.3  # [m] miss of the nearest branch from which on other grip angles ar
 _REFINED = 4  # branches that are varied where none was good enough as it was
 _FOLLOWED, _VARIED = 0.05, 6  # [m] miss up to which branches are varied by derivatives; so many
 _DEEPER, _ROUNDS = 5, 8  # further searches near the best of them, and their rounds
+_RADIUS = 0.004  # [m] of a rod that a trajectory does not name
 FAR = 2.5  # [rad] beyond a last joint's turn, from where on elbow and tilt do not make up for it
 
 
@@ -52,7 +53,6 @@ FAR = 2.5  # [rad] beyond a last joint's turn, from where on elbow and tilt do n
     RobotError,
     robot=arguments.either(arguments.path, arguments.like("a Robot", "joint_names", "chain")),
     grip_angle=arguments.either(arguments.text, arguments.number(-1e3, 1e3)),
-    gripper_length=arguments.optional(arguments.number(1e-3, 10.0)),
     table_height=arguments.optional(arguments.number(-10.0, 10.0)),
     obstacles=arguments.optional(arguments.like("a wrod.robot.Obstacles", "shapes", "capsules")),
     placement=arguments.either(
@@ -62,7 +62,6 @@ FAR = 2.5  # [rad] beyond a last joint's turn, from where on elbow and tilt do n
     rate=arguments.number(1.0, 1e4),
     limit_margin=arguments.number(0.0, 3.0),
     clearance=arguments.number(0.0, 1.0),
-    rod_radius=arguments.number(1e-6, 1.0),
     time_limit=arguments.optional(arguments.number(0.0)),
 )
 def solve_joint_path(
@@ -71,16 +70,12 @@ def solve_joint_path(
     placement="auto",
     *,
     grip_angle: float | str = "auto",
-    gripper_length: float | None = None,
-    flange: str | None = None,
-    tip: str | None = None,
     table_height: float | None = None,
     obstacles=None,
     grip_speed: float = 0.02,
     rate: float = 100.0,
     limit_margin: float = 0.02,
     clearance: float = 0.005,
-    rod_radius: float = 0.004,
     whole_job: bool = False,
     time_limit: float | None = None,
 ) -> JointPath:
@@ -90,23 +85,22 @@ def solve_joint_path(
     that the grip leaves, checked between the nodes too, and timed (steps: `wrod.robot`).
 
     Args:
-        trajectory: grip poses [m].
-        robot: "sawyer", a URDF file, or a `Robot`.
+        trajectory: grip poses [m]; the laid rod is as thick as its `rod`, or 4 mm in radius where
+            it does not say.
+        robot: "sawyer", a URDF file, or a `Robot` of `wrod.load_robot`, which is asked for another
+            flange, gripper or limits.
         placement: "auto", or the pose of the trajectory's frame in the robot's base: a
             `Placement`, four numbers (x, y, z [m], yaw [rad]), or "x,y,z,yaw in degrees". z is
             the table's height.
         grip_angle: between the fingers and the rod that leaves the gripper [rad], 0 (the rod's end
             lies along the fingers) to pi/2 (the rod crosses them), or "auto": the smallest that
             works. The gripper's roll about the rod is constant.
-        gripper_length: from the flange to the grasp point [m], 0.15 by default.
-        flange, tip: link that carries the gripper, or the arm's own grasp point (see `load_robot`).
         table_height: from the robot's base [m], where the placement is "auto"; None tries a few.
         obstacles: `Obstacles` that the arm must keep clear of.
         grip_speed: along the path [m/s], a turn of one radian counting as 5 cm.
         rate: of the output [1/s].
         limit_margin: least distance from the joint limits [rad].
         clearance: least gap between links, table, pedestal and laid rod [m].
-        rod_radius: [m] of the laid rod.
         whole_job: begin and end in a neutral pose, with approach, grasp, release and retreat around
             the laying (see `JointPath.phases`); where there is no way, a warning says why and the
             path begins and ends at the rod.
@@ -124,7 +118,7 @@ def solve_joint_path(
     if fixed is not None and table_height is not None:
         raise RobotError("a placement has the table's height in it; drop the table height")
     with one_torch_thread():
-        arm = load_robot(robot, flange=flange, tip=tip, gripper_length=gripper_length)
+        arm, rod = load_robot(robot), trajectory.rod
         task = Task(
             arm,
             CollisionModel(arm),
@@ -132,7 +126,7 @@ def solve_joint_path(
             GripPath(trajectory),
             limit_margin,
             clearance,
-            float(rod_radius),
+            _RADIUS if rod is None else rod.radius,
             None if obstacles is None else obstacles.capsules(),
             fixed is None and table_height is None,
             math.inf if time_limit is None else clock.monotonic() + time_limit,
