@@ -6,9 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hidden import kept
 from test_clamped_noise import ARC, READINGS, TRIALS, columns
 
-from wrod.bench.hidden_sets import hidden_set
 from wrod.commands import main
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
@@ -17,12 +17,10 @@ from wrod.identification.clamped.scatter import only_scatter
 from wrod.identification.clamped.trace import trace
 from wrod.identification.effect import Model, effects
 
-drawn = cache(hidden_set)
-
 
 @cache
 def laboratory(case: str, seed: int, noise: str = "white") -> Laboratory:
-    data, _ = drawn(case, seed, noise)
+    data, _ = kept(case, seed, noise)
     return Laboratory(measurements_from_arrays(data, name=case))
 
 
@@ -46,7 +44,7 @@ def test_poses_that_are_off_in_each_trial_are_named_with_their_size():
 @pytest.mark.slow
 def test_an_identification_ends_with_it(tmp_path):
     """No effect of a rod is named, and what is wrong is."""
-    data, _ = drawn("none 1", 101, "pose")
+    data, _ = kept("none 1", 101, "pose")
     path = tmp_path / "poses.npz"
     np.savez(path, **data)
     result = CliRunner().invoke(main, ["identify", str(path), "--out", str(tmp_path / "out")])
@@ -67,8 +65,7 @@ def test_a_rod_that_changes_does_not_pass_for_it():
 
 def test_it_is_seen_beside_an_effect_and_is_no_excuse_for_a_wrong_one():
     lab = laboratory("natural_curvature", 101, "pose")
-    _, hidden = drawn("natural_curvature", 101, "pose")
-    (truth,) = hidden.truth["natural_curvature"].values()
+    (truth,) = kept("natural_curvature", 101, "pose")[1]["natural_curvature"].values()
     model = Model((effects()["natural_curvature"],))
     assert scatter_of(lab, model, truth) is not None
     assert scatter_of(lab, model, np.multiply(0.7, truth)) is None
