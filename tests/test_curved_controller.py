@@ -39,7 +39,7 @@ def made(tmp_path_factory):
         ["dataset", "--size", "300", "--rod", model, "--roll", "plane",
          "--out", str(folder / "grasps")],
         ["train", "--dataset", str(folder / "grasps"), "--out", str(folder / "trained"),
-         "--steps", "1200", "--width", "32", "--test", "40"],
+         "--steps", "800", "--width", "32", "--test", "40"],
     ):  # fmt: skip
         done(*args, "--device", "cpu", "--json")
     return folder
@@ -74,7 +74,7 @@ def test_encoding_inverts_decoding():
 
 
 def test_a_rod_s_own_controller_is_accurate_on_fresh_grasps(made, controller):
-    """300 grasps and 1200 steps; the recipe has 6000."""
+    """300 grasps and 800 steps; the recipe has 6000."""
     inputs, grasps = held_out(60, seed=77, rod=ONE)
     figures = score(controller, inputs, grasps)
     assert figures["left_out"] == 0
