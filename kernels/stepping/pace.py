@@ -249,19 +249,3 @@ def ask_on(
     going_out[0] = wp.where(found > 0 and rounds[0] < most_rounds, 1, 0)
     going_out[1] = wp.where(found > 0, 1, 0)
     rounds[0] = rounds[0] + 1
-
-
-@wp.kernel
-def ask_any(
-    chosen: wp.array(dtype=wp.int32),
-    # Out:
-    any_out: wp.array(dtype=wp.int32),
-):
-    """Whether any rod is chosen. Launched over (1, lane)."""
-    _, lane = wp.tid()
-    found = int(0)
-    for r in range(lane, chosen.shape[0], wp.block_dim()):
-        found += wp.where(chosen[r] != 0, 1, 0)
-    found = count_of_lanes(found)
-    if lane == 0:
-        any_out[0] = wp.where(found > 0, 1, 0)

@@ -183,7 +183,6 @@ class Dynamics(NewtonSteps):
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(2, dtype=wp.int32, device=device)
         self._goes_on = self._going[:1]  # a condition of a graph is one number
-        self._follows = wp.zeros(1, dtype=wp.int32, device=device)
         self.keeps_recording = keeps_recording
         self._recording: tuple[tuple, object] | None = None
 

@@ -50,7 +50,6 @@ class NewtonSteps(Steps):
     refuses_saddles: int
     _scheme: int
     _growth: float
-    _follows: wp.array
 
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
@@ -196,7 +195,8 @@ class NewtonSteps(Steps):
     def _finish(self, frames: wp.array | None, frame_interval: float) -> None:
         """Carry accepted steps over to the next, and take failed ones back."""
         batch, start, dof = self.batch, self.start, self.batch.state.dof
-        self._follow()
+        if self.follower is not None:
+            self.follower.follow(self)
         self.viscosity.finish(self.accepted)
         for contact in self.contacts:
             contact.settle(self.accepted, dof, start.dof)
@@ -228,19 +228,6 @@ class NewtonSteps(Steps):
             batch.transport_frames(start, batch.state, self.accepted)
         self._copy(self.accepted, batch.state, start)
         self._copy(self.rejected, start, batch.state)
-
-    def _follow(self) -> None:
-        """Carry along what follows; in a graph of a GPU, which looks at nothing else from inside,
-        only in rounds that accept a step: of few rods most accept none."""
-        if self.follower is None:
-            return
-        device = wp.get_device(self.batch.device)
-        looks = device.is_capturing and not device.is_cpu and wp.is_conditional_graph_supported()
-        if not looks:
-            self.follower.follow(self)
-            return
-        self.batch.launch_lanes(pace.ask_any, [self.accepted], [self._follows], rods=1)
-        wp.capture_if(self._follows, lambda: self.follower.follow(self))
 
     def _complete(self) -> None:
         """Bring accepted steps from where their forces are to their ends."""
