@@ -215,6 +215,8 @@ def compare(scene, names, size=1e-4, **options):
         if name == "poses":
             way[: options.get("warm", 0)] = 0.0
             step *= 2.0**-5 if scene.ground else 1.0
+        elif name == "gravity" and scene.ground:  # more of it lets nodes slide that stick
+            step *= 2.0**-4
         elif name in PROPERTIES and "natural" not in name:
             way *= getattr(scene.model.der, name).numpy()
         if name in ("edge_spin", "edge_stretching_stiffness"):  # which count little

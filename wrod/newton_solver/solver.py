@@ -62,8 +62,9 @@ class SolverDER(RodBuilding, SolverBase):
     Of a model that was finalized with `requires_grad=True`, steps on a `wp.Tape` have gradients, by
     the adjoint of the steps as they are taken: by `state.der`, `body_q` of kinematic bodies that
     hold rods, `gravity`, `shape_material_mu`, and `model.der`'s stretching, bending and twisting
-    stiffness, natural curvature and twist, internal damping, and node masses (not for "consistent"
-    inertia). Others have no `grad`. Rods may touch planes that stand still; all else is refused.
+    stiffness, natural curvature and twist, internal and air damping, and node masses (not for
+    "consistent" inertia). Others have no `grad`. Rods may touch planes that stand still; all else
+    is refused.
 
     Example
     -------
