@@ -3,11 +3,15 @@
 import numpy as np
 import pytest
 
+from wrod.bench.hidden_sets import hidden_set
 from wrod.identification.clamped.equilibria import ClampedSolver
+from wrod.identification.clamped.fit import fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.setup import ClampedSetup
-from wrod.identification.effect import Model
+from wrod.identification.clamped.steps import base_fit, extensions, leaner
+from wrod.identification.clamped.verdict import Round
+from wrod.identification.effect import Model, effects
 from wrod.rods.material import RodMaterial
 
 # Upright: the tangent of clamp A points up, that of the gripper down; m1 along x.
@@ -82,3 +86,22 @@ def test_a_short_planar_arch_has_its_equilibrium():
     top = laboratory.predict(Model(), np.zeros(0))[0, :, 2].max()
     assert top == pytest.approx(0.0442, abs=5e-4)
     assert all(b.negative == 0 for b in laboratory.branches)
+
+
+def test_a_coil_that_does_not_turn_is_a_curvature_even_past_a_fold():
+    """By itself the curvature's fit ends before a fold, at (-3.80, -0.83) and 1.21 times as many
+    squares, that the coil's comes past with a turn of 0.03 ± 0.03 rad/m."""
+    data, hidden = hidden_set("natural_curvature", 303)
+    lab, known = Laboratory(measurements_from_arrays(data)), effects()
+    first = base_fit(lab)
+    model = Model((known["natural_helix"],))
+    (coil,) = fit_models(lab, [model], [np.array([0.0, 0.0, -6.0])])
+    alone = extensions(lab, first, [known["natural_curvature"]])[0]
+    assert alone.bic > coil.bic
+    rounds = [Round((), coil, [coil, alone], [], coil.model.names, "")]
+    found = leaner(lab, coil, [known["natural_curvature"], known["camera_rotation"]], rounds)
+    assert found.model.names == ("natural_curvature",)
+    assert found.bic < coil.bic
+    (truth,) = hidden.truth["natural_curvature"].values()
+    assert np.abs(found.values - truth).max() < 3.0 * np.sqrt(np.diag(found.covariance)).max()
+    assert rounds[0].fits[-1] is found

@@ -155,9 +155,15 @@ def pruned(laboratory, current: Fit) -> Fit:
 
 
 def leaner(laboratory, current: Fit, candidates, rounds: list[Round]) -> Fit:
-    """A pair of fewer parameters in the place of a pair, if it does as well; what was fitted for
-    that joins the last step, so that the verdict may name it as confounded."""
-    if len(current.model.effects) != 2 or not rounds:
+    """A special case in the place of an effect, a pair of fewer parameters in that of a pair, if it
+    does as well; what was fitted for that joins the last step, so that the verdict may name it as
+    confounded."""
+    if not rounds:
+        return current
+    fits = _special_cases(laboratory, current, candidates)
+    _join_last(rounds, current, fits)
+    current = min([current, *fits], key=lambda f: f.bic)
+    if len(current.model.effects) != 2:
         return current
     tried = {frozenset(f.model.names) for r in rounds for f in r.fits}
     pairs = [
@@ -167,11 +173,38 @@ def leaner(laboratory, current: Fit, candidates, rounds: list[Round]) -> Fit:
     ][:_LEANER]
     models, starts = [model for model, _ in pairs], [start for _, start in pairs]
     fits = best_of_each(_fit(laboratory, models, starts, None, rival=current.chi_squared))
+    _join_last(rounds, current, fits)
+    return min([current, *fits], key=lambda f: f.bic)
+
+
+def _special_cases(laboratory, current: Fit, candidates) -> list[Fit]:
+    """Models in which an effect gives way to one that has some of its parameters and no others, as
+    a coil to a curvature: from the numbers and shapes that were found, for by itself it may not
+    have come past a fold."""
+    models, starts = [], []
+    parts = current.model.split(current.values)
+    for place, effect in enumerate(current.model.effects):
+        found = dict(zip((p.key for p in effect.parameters), parts[place], strict=True))
+        for other in candidates:
+            keys = [p.key for p in other.parameters]
+            if other.name in current.model.names or not set(keys) < set(found):
+                continue
+            now, values = list(current.model.effects), list(parts)
+            now[place], values[place] = other, np.array([found[key] for key in keys])
+            models.append(Model(tuple(now)))
+            starts.append(np.concatenate(values))
+    if not models:
+        return []
+    fits = fit_models(laboratory, models, starts, origin=current, race=False)
+    return [f for f in fits if np.isfinite(f.chi_squared)]
+
+
+def _join_last(rounds: list[Round], current: Fit, fits: list[Fit]) -> None:
+    """Add fits to the last step that weighed the current model against others."""
     for step in reversed(rounds):
         if any(set(f.model.names) == set(current.model.names) for f in step.fits):
             step.fits += fits
-            break
-    return min([current, *fits], key=lambda f: f.bic)
+            return
 
 
 def _fit(laboratory, models, starts, origin, rival: float = np.inf) -> list[Fit]:
