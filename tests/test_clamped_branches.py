@@ -98,10 +98,13 @@ def test_a_coil_that_does_not_turn_is_a_curvature_even_past_a_fold():
     (coil,) = fit_models(lab, [model], [np.array([0.0, 0.0, -6.0])])
     alone = extensions(lab, first, [known["natural_curvature"]])[0]
     assert alone.bic > coil.bic
-    rounds = [Round((), coil, [coil, alone], [], coil.model.names, "")]
+    gains = [first.bic - fit.bic for fit in (coil, alone)]
+    rounds = [Round((), coil, [coil, alone], gains, coil.model.names, "")]
     found = leaner(lab, coil, [known["natural_curvature"], known["camera_rotation"]], rounds)
     assert found.model.names == ("natural_curvature",)
     assert found.bic < coil.bic
     (truth,) = hidden.truth["natural_curvature"].values()
     assert np.abs(found.values - truth).max() < 3.0 * np.sqrt(np.diag(found.covariance)).max()
-    assert rounds[0].fits[-1] is found
+    # The ranking has it in the place of the fit that did not come past.
+    assert rounds[0].fits[0] is found and rounds[0].fits[1] is coil
+    assert rounds[0].gains == pytest.approx([first.bic - f.bic for f in (found, coil)])

@@ -202,8 +202,10 @@ def _special_cases(laboratory, current: Fit, candidates) -> list[Fit]:
 def _join_last(rounds: list[Round], current: Fit, fits: list[Fit]) -> None:
     """Add fits to the last step that weighed the current model against others."""
     for step in reversed(rounds):
-        if any(set(f.model.names) == set(current.model.names) for f in step.fits):
-            step.fits += fits
+        if fits and any(set(f.model.names) == set(current.model.names) for f in step.fits):
+            before = step.gains[0] + step.fits[0].bic
+            step.fits = best_of_each([*step.fits, *fits])
+            step.gains = [before - f.bic for f in step.fits]
             return
 
 
