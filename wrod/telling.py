@@ -5,7 +5,6 @@ up: nothing has to be handed down to them.
 """
 
 import json
-from collections.abc import Iterable
 from typing import Any
 
 import click
@@ -41,11 +40,3 @@ def tell(figures: dict[str, Any], *lines: str) -> None:
         click.echo(line)
     for path in figures.get("written", ()):
         click.echo(f"wrote {path}")
-
-
-def markdown_table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> list[str]:
-    """Lines of a table in Markdown."""
-    head = list(head)
-    lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in head)]
-    lines.append("|" + " --- |" * len(head))
-    return lines + [f"| {' | '.join(map(str, row))} |" for row in rows]

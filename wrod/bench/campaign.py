@@ -14,7 +14,8 @@ from wrod import cost
 from wrod.deployment.bounds import check_release, refuse_long_moves
 from wrod.files.ledger import Ledger
 from wrod.machine import machine_line
-from wrod.telling import json_option, tell
+from wrod.options import option
+from wrod.telling import tell
 
 # Points at which laid curves are kept.
 _CURVE_POINTS = 60
@@ -109,20 +110,6 @@ def points_of(pattern, arc_length, place, count: int) -> np.ndarray:
     return np.column_stack([np.interp(s, arc_length, place[:, c]) for c in range(2)])
 
 
-@dataclass(frozen=True)
-class Common:
-    """What `options` say."""
-
-    out: Path
-    patterns: Path | None
-    release: float
-    speed: float
-    step: float
-    spacing: float
-    batch: int | None
-    device: str
-
-
 # The first length that is laid is held [m].
 _HOLD = 0.05
 
@@ -132,60 +119,52 @@ def _checked_release(ctx: click.Context, option: click.Parameter, release: float
     return release
 
 
-def options(*, speed: float, step: float, spacing: float) -> Callable:
-    """Adds the options that all campaigns have, with these defaults."""
-    folder = click.Path(file_okay=False, path_type=Path)
-    patterns = click.Path(file_okay=False, exists=True, path_type=Path)
-    added = [
-        click.option("--out", type=folder, required=True),
-        click.option(
-            "--patterns",
-            type=patterns,
-            help="Folder of pattern files (line.txt, letterA.txt, ...); default: the built-in "
-            "patterns.",
-        ),
-        click.option(
-            "--release",
-            default=_HOLD,
-            show_default=True,
-            callback=_checked_release,
-            help="Laid length at which the free end, held for 5 cm, is let go [m].",
-        ),
-        click.option(
-            "--speed", default=speed, show_default=True, help="Speed of the contact [m/s]."
-        ),
-        click.option("--step", default=step, show_default=True, help="Largest time step [s]."),
-        click.option(
-            "--spacing", default=spacing, show_default=True, help="Length of the edges [m]."
-        ),
-        click.option("--batch", type=int, help="Trials simulated at once; default: 32, CUDA all."),
-        click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto."),
-        json_option,
-        cost.force_option,
-    ]
+@dataclass(frozen=True)
+class Common:
+    """Options that all campaigns have; each has its own speed, step and spacing by default."""
 
-    def decorate(function):
-        for option in reversed(added):
-            function = option(function)
-        return function
+    out: Path = option(None, type=click.Path(file_okay=False, path_type=Path), required=True)
+    patterns: Path | None = option(
+        "Folder of pattern files (line.txt, letterA.txt, ...); default: the built-in patterns.",
+        type=click.Path(file_okay=False, exists=True, path_type=Path),
+    )
+    release: float = option(
+        "Laid length at which the free end, held for 5 cm, is let go [m].",
+        default=_HOLD,
+        callback=_checked_release,
+    )
+    speed: float = option("Speed of the contact [m/s].")
+    step: float = option("Largest time step [s].")
+    spacing: float = option("Length of the edges [m].")
+    batch: int | None = option("Trials simulated at once; default: 32, CUDA all.")
+    device: str = option("cpu, cuda:0 or auto.", default="auto")
 
-    return decorate
+    @property
+    def how(self) -> dict[str, float]:
+        """How trials are simulated."""
+        names = ("speed", "step", "spacing", "release")
+        return {name: getattr(self, name) for name in names}
+
+    @property
+    def source(self) -> str:
+        """Of the patterns, in a word."""
+        return "built-in" if self.patterns is None else self.patterns.name
 
 
-def settle(
-    trials: int, length: float, *, device: str, batch: int | None, more: float = 0.0, **how: float
-) -> None:
+def settle(common: Common, trials: int, length: float, more: float = 0.0) -> None:
     """Say what the deployments that are missing will cost, or refuse it (`cost.settle`).
 
     Args:
         trials: that are missing.
         length: of the longest rod that is laid [m].
-        device, batch: as for `run`.
         more: what else takes time on one core [s].
-        how: they are laid: speed, step, spacing.
     """
-    refuse_long_moves(how["speed"], how["step"])
-    at_once = min(_at_once(trials, batch, device), trials)
+    from wrod.rods.device import resolve_device
+
+    refuse_long_moves(common.speed, common.step)
+    device = resolve_device(common.device)
+    at_once = min(_at_once(trials, common.batch, device), trials)
+    how = {"speed": common.speed, "step": common.step, "spacing": common.spacing}
     work = cost.deployments(trials, length, device=device, **how)
     cost.settle(
         replace(work, seconds=work.seconds + more, memory=work.memory * at_once / max(trials, 1)),

@@ -13,6 +13,8 @@ import click
 from wrod import cost
 from wrod.bench import campaign
 from wrod.files.ledger import Ledger
+from wrod.options import gathered
+from wrod.telling import json_option
 
 # Arcs, in L_gb: constant curvature, and easing in and out of it, without which no table would hold
 # their ends. They may lie on themselves, as rods do not touch each other.
@@ -43,19 +45,10 @@ _FULL = {
 @click.option("--rods", help="Rods that lay the patterns.")
 @click.option("--names", help="Patterns.")
 @click.option("--trials", default=1, show_default=True, help="Disturbed trials a cell.")
-@campaign.options(speed=0.04, step=0.02, spacing=0.01)
-def command(
-    trials: int,
-    out: Path,
-    patterns: Path | None,
-    release: float,
-    speed: float,
-    step: float,
-    spacing: float,
-    batch: int | None,
-    device: str,
-    **given,
-) -> None:
+@gathered("common", campaign.Common, speed=0.04, step=0.02, spacing=0.01)
+@json_option
+@cost.force_option
+def command(trials: int, common: campaign.Common, **given) -> None:
     """Lay arcs and patterns by every closure and by INT, on tables of all kinds.
 
     Every method meets the same disturbances: jitter, error in L_gb, natural curvature. Finished
@@ -65,17 +58,14 @@ def command(
     from wrod.files import row_schemas
     from wrod.rods.device import resolve_device
 
-    device = resolve_device(device)
-    frictions, curves = _asked_for(patterns, **given)
-    nodes = _nodes(curves, spacing)
-    how: dict[str, Any] = {"speed": speed, "step": step, "spacing": spacing, "release": release}
-    settings = how | {"nodes": nodes, "patterns": "built-in" if patterns is None else patterns.name}
+    device, out = resolve_device(common.device), common.out
+    frictions, curves = _asked_for(common.patterns, **given)
+    nodes = _nodes(curves, common.spacing)
+    settings = common.how | {"nodes": nodes, "patterns": common.source}
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures", row_schemas.CampaignRow)
     wanted = len(curves) * len(frictions) * (trials * len(METHODS) + 1)
-    campaign.settle(
-        max(wanted - len(ledger.rows), 0), max(curve.rod.length for curve in curves),
-        device=device, batch=batch, speed=speed, step=step, spacing=spacing,
-    )  # fmt: skip
+    longest = max(curve.rod.length for curve in curves)
+    campaign.settle(common, max(wanted - len(ledger.rows), 0), longest)
     start = time.perf_counter()
     plans, lacking = _plans(curves, METHODS, device)
     planned = time.perf_counter() - start
@@ -88,24 +78,24 @@ def command(
         (curve.rod_name, curve.name, mu, PUT_DOWN, 0) for curve, mu in product(curves, frictions)
     ]
     by_name = {(curve.rod_name, curve.name): curve for curve in curves}
-    how |= {"node_count": nodes, "device": device}
+    how: dict[str, Any] = common.how | {"node_count": nodes, "device": device}
 
     def lay(part, progress):
         return _laid_rows(part, by_name, plans, how | {"progress": progress})
 
     def leave(part, progress):
-        rows = _put_down_rows(part, by_name, nodes, step, device)
+        rows = _put_down_rows(part, by_name, nodes, common.step, device)
         progress(1.0)
         return rows
 
     spent, _ = (
-        campaign.run(ledger, wanted, simulate, device=device, batch=batch)
+        campaign.run(ledger, wanted, simulate, device=device, batch=common.batch)
         for wanted, simulate in ((keys, lay), (lying, leave))
     )
     head = (
         f"e_mean [cm] (N = 50) with the grip holding, {trials} disturbed trials a cell; contact "
-        f"speed {speed:g} m/s, step {step:g} s, edges {spacing:g} m, free end held for the first "
-        f"{release:g} m, patterns {settings['patterns']}."
+        f"speed {common.speed:g} m/s, step {common.step:g} s, edges {common.spacing:g} m, free end "
+        f"held for the first {common.release:g} m, patterns {settings['patterns']}."
     )
     words, written = _reported(out, ledger.of(lying + keys), head, lacking)
     campaign.say(

@@ -1,14 +1,13 @@
 """What `wrod bench loop` does, step by step: identify, train, plan, lay, report."""
 
-import time
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from wrod import cost
 from wrod.arguments import refuse_idle_options
 from wrod.bench.loop_measurements import clamped_experiment
+from wrod.bench.loop_options import Loop
 from wrod.bench.loop_report import draw, markdown, summary, write_csv
 from wrod.bench.loop_trials import (
     EFFECTS,
@@ -30,78 +29,12 @@ from wrod.identification.motion.loading import load_motion
 from wrod.machine import machine_line
 from wrod.planning.roll import read_roll
 from wrod.rods.catalogue import rod
-from wrod.rods.device import resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
 
-_BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
 # The free end of a cable is held for so much of its L_gb; a green VPS rod's 5 cm are 1.6 of them.
 _HELD, _VPS_HELD = 1.5, 0.05
-
-
-@dataclass
-class Loop:
-    """What is asked for, by the names of the command's options, and how long its parts took [s]."""
-
-    out: Path
-    effects: tuple[str, ...]
-    recording: Path | None
-    names: tuple[str, ...]
-    patterns: Path | None
-    rod_name: str
-    curvature: float
-    lgb_error: float
-    trials: int
-    noise: float
-    candidates: tuple[str, ...]
-    controllers: tuple[str, ...]
-    grasps: int
-    steps: int | None
-    friction: float
-    known_table: bool
-    rolling: bool
-    roll_text: str
-    speed: float
-    step: float
-    spacing: float
-    seed: int
-    device: str
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.device = resolve_device(self.device)
-        self.controllers = self.controllers or ("network", "default")
-        if self.recording is not None:
-            # Which network would know a cable that nobody has described?
-            self.controllers = ("default",)
-
-    @property
-    def head(self) -> str:
-        """What was simulated, in a sentence."""
-        curves = "built-in patterns" if self.patterns is None else "patterns of a folder"
-        what = self.rod_name
-        if self.recording is not None:
-            what = f"the cable found in {self.recording.name}"
-            curves = curves if self.names else "a bend of the cable's own size"
-        return (
-            f"Simulated deployments of {what}, e_mean ± sigma [cm] (N = 50); friction "
-            f"{self.friction:g}{', which new plans know' if self.known_table else ''}"
-            f"{', rolling freely' if self.rolling else ''}, roll "
-            f"{self.roll_text}, contact speed {self.speed:g} m/s, step {self.step:g} s, edges "
-            f"{self.spacing:g} m, {curves}."
-        )
-
-    @contextmanager
-    def timed(self, what: str):
-        """Add how long something took."""
-        clock = time.perf_counter()
-        yield
-        self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - clock
-
-    def bar(self, what: str):
-        """A bar of 100 per cent."""
-        return cost.progress_bar(total=100, desc=what, bar_format=_BAR)
 
 
 def _refuse_idle(loop: Loop) -> None:

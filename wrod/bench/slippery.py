@@ -17,7 +17,8 @@ from wrod.bench.slippery_report import KEYS, draw, means, summary, told, write_c
 from wrod.errors import RodError
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
-from wrod.telling import tell
+from wrod.options import gathered
+from wrod.telling import json_option, tell
 
 ENGINES = ("wrod", "mujoco")
 # A rod that is put down exactly, and one that lies exactly where a robot that stands elsewhere, and
@@ -76,7 +77,9 @@ _GENTLE = 0.4
               "yaw, natural_curvature; default: all.")  # fmt: skip
 @click.option("--workers", default=1, show_default=True,
               help="Processes, on a CPU.")  # fmt: skip
-@campaign.options(speed=0.04, step=0.01, spacing=0.005)
+@gathered("common", campaign.Common, speed=0.04, step=0.01, spacing=0.005)
+@json_option
+@cost.force_option
 def command(
     frictions: str,
     rods: str,
@@ -88,7 +91,7 @@ def command(
     undisturbed: bool,
     disturbed: str | None,
     workers: int,
-    **common,
+    common: campaign.Common,
 ) -> None:
     """Lay patterns by plans that do not know their table and by plans that do.
 
@@ -101,22 +104,16 @@ def command(
     from wrod.bench.mujoco_chain import require_mujoco
     from wrod.rods.device import resolve_device
 
-    asked = campaign.Common(**common)
-    out, spacing = asked.out, asked.spacing
+    out, spacing = common.out, common.spacing
     chosen, played = some(methods, "method", METHODS), some(engines, "engine", ENGINES)
     by = _disturbing(undisturbed, disturbed)
     if "mujoco" in played:
         require_mujoco()
-    device = resolve_device(asked.device)
-    shelf = Shelf(out / "plans", asked.patterns, device)
+    device = resolve_device(common.device)
+    shelf = Shelf(out / "plans", common.patterns, device)
     mus = parse_list(frictions, "--frictions", 0.01, 10.0)
-    pace = {"speed": asked.speed, "step": asked.step, "release": asked.release}
-    settings = {
-        **pace,
-        "spacing": spacing,
-        "patterns": "built-in" if asked.patterns is None else asked.patterns.name,
-        "disturbed": by,
-    }
+    pace = {"speed": common.speed, "step": common.step, "release": common.release}
+    settings = {**pace, "spacing": spacing, "patterns": common.source, "disturbed": by}
     if "mujoco" in played:
         settings["chain_step"] = chain_step
     how = {**pace, "disturbed": by, "chain_step": chain_step}
@@ -133,10 +130,7 @@ def command(
 
     jobs = [(shelf, key, spacing, how) for key in ledger.lacking(keys)]
     longest = max(shelf.course(*cell[:2])[1].length for cell in cells)
-    campaign.settle(
-        len(jobs), longest, device=device, batch=asked.batch, speed=asked.speed, step=asked.step,
-        spacing=spacing, more=_effort([key for _, key, *_ in jobs]),
-    )  # fmt: skip
+    campaign.settle(common, len(jobs), longest, _effort([key for _, key, *_ in jobs]))
     shelf.stock([(*key[:3], _CORRECTED[key[3]]) for _, key, *_ in jobs if key[3] in _CORRECTED],
                 workers)  # fmt: skip
     begun = len(keys) - len(jobs)

@@ -1,7 +1,7 @@
 """`wrod bench table3`: the paper's accuracy table, laid in simulation. Restartable."""
 
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
@@ -12,57 +12,29 @@ from wrod.arguments import refuse_idle_options
 from wrod.bench import campaign, courses
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
 from wrod.files.ledger import Ledger
-
-
-def _only(what: str, parameter: str, names: tuple[str, ...]):
-    """An option that leaves out all rows or columns of the table but those that are named."""
-    return click.option(
-        f"--{what}",
-        parameter,
-        multiple=True,
-        type=click.Choice(names),
-        help=f"Only this {what}; may be given again.",
-    )
-
-
-@click.command(name="table3")
-@click.option("--trials", default=10, show_default=True, help="Trials a cell.")
-@click.option("--closure", help="Closure of OPT; default: the one that the planner favours.")
-@click.option(
-    "--known-table",
-    is_flag=True,
-    help="Plan OPT for the friction of each substrate; plans are kept in OUT/plans.",
-)
-@click.option(
-    "--workers",
-    default=1,
-    show_default=True,
-    help="Known table: processes that plan side by side.",
-)
-@_only("rod", "rods", RODS)
-@_only("substrate", "substrates", SUBSTRATES)
-@_only("pattern", "names", PATTERNS)
-@campaign.options(speed=0.02, step=0.01, spacing=0.005)
-def command(**given) -> None:
-    """Rods 1-3 x fabric, steel, foam x seven patterns x {INT, OPT} x ten trials.
-
-    Finished trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
-    """
-    asked = _Asked(**{f.name: given.pop(f.name) for f in fields(_Asked)})
-    _table(asked, **given)
+from wrod.options import gathered, option
+from wrod.telling import json_option
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """What of the table is asked for, and how its OPT is planned; options of the command."""
+    """What of the table is asked for, and how its OPT is planned."""
 
-    trials: int
-    closure: str | None
-    known_table: bool
-    rods: tuple[str, ...]
-    substrates: tuple[str, ...]
-    names: tuple[str, ...]
-    patterns: Path | None
+    trials: int = option("Trials a cell.", default=10)
+    closure: str | None = option("Closure of OPT; default: the one that the planner favours.")
+    known_table: bool = option(
+        "Plan OPT for the friction of each substrate; plans are kept in OUT/plans."
+    )
+    workers: int = option("Known table: processes that plan side by side.", default=1)
+    rods: tuple[str, ...] = option(
+        "Only this rod; may be given again.", "--rod", type=click.Choice(RODS)
+    )
+    substrates: tuple[str, ...] = option(
+        "Only this substrate; may be given again.", "--substrate", type=click.Choice(SUBSTRATES)
+    )
+    names: tuple[str, ...] = option(
+        "Only this pattern; may be given again.", "--pattern", type=click.Choice(PATTERNS)
+    )
 
     def check(self) -> None:
         from wrod.errors import RodError
@@ -71,29 +43,35 @@ class _Asked:
         if self.closure is not None and self.closure not in CLOSURES:
             known = ", ".join(CLOSURES)
             raise RodError(f"unknown closure {self.closure!r:.60}; use one of {known}")
+        if not self.known_table:
+            refuse_idle_options("plans for no table in particular", "workers")
 
-    def cells(self) -> tuple[tuple[str, ...], tuple[str, ...], dict]:
+    def cells(self, patterns: Path | None) -> tuple[tuple[str, ...], tuple[str, ...], dict]:
         """Rods, substrates and curves, in the table's own order."""
         from wrod.bench.table3_paper import read_pattern
 
         rods = tuple(name for name in RODS if name in (self.rods or RODS))
         substrates = tuple(name for name in SUBSTRATES if name in (self.substrates or SUBSTRATES))
         names = [name for name in PATTERNS if name in (self.names or PATTERNS)]
-        return rods, substrates, {name: read_pattern(name, self.patterns) for name in names}
+        return rods, substrates, {name: read_pattern(name, patterns) for name in names}
 
-    def settings(self, how: dict[str, float]) -> dict:
+    def settings(self, common: campaign.Common) -> dict:
         """What has to be the same for trials to stand in one table."""
-        settings = {name: how[name] for name in ("speed", "step", "spacing", "release")} | {
-            "closure": "favoured" if self.closure is None else self.closure,
-            "patterns": "built-in" if self.patterns is None else self.patterns.name,
-        }
+        closure = "favoured" if self.closure is None else self.closure
+        settings = common.how | {"closure": closure, "patterns": common.source}
         return settings | ({"known_table": True} if self.known_table else {})
 
 
-def _table(
-    asked: _Asked, out: Path, workers: int, batch: int | None, device: str, **how: float
-) -> None:
-    """Lay and tell; `how` trials are simulated: release, speed, step and spacing."""
+@click.command(name="table3")
+@gathered("asked", _Asked)
+@gathered("common", campaign.Common, speed=0.02, step=0.01, spacing=0.005)
+@json_option
+@cost.force_option
+def command(asked: _Asked, common: campaign.Common) -> None:
+    """Rods 1-3 x fabric, steel, foam x seven patterns x {INT, OPT} x ten trials.
+
+    Finished trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
+    """
     from wrod.bench.table3_report import KEYS
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.files import row_schemas
@@ -102,10 +80,8 @@ def _table(
     from wrod.solvers.compiling import compile_steps
 
     asked.check()
-    if not asked.known_table:
-        refuse_idle_options("plans for no table in particular", "workers")
-    device, settings = resolve_device(device), asked.settings(how)
-    rods, substrates, curves = asked.cells()
+    device, settings, out = resolve_device(common.device), asked.settings(common), common.out
+    rods, substrates, curves = asked.cells(common.patterns)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", row_schemas.Table3Row)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
@@ -114,30 +90,28 @@ def _table(
             range(asked.trials), rods, substrates, curves, METHODS
         )
     ]
-    lay = {name: how[name] for name in ("speed", "step", "spacing")}
-    longest = max(rod(name).length for name in rods)
-    campaign.settle(len(ledger.lacking(keys)), longest, device=device, batch=batch, **lay)
+    campaign.settle(common, len(ledger.lacking(keys)), max(rod(name).length for name in rods))
     start = time.perf_counter()
     compile_steps(device)
     compiled = time.perf_counter() - start
     plans = _plans(rods, curves, asked.closure, device)
     if asked.known_table:
-        plans |= _corrected_plans(plans, substrates, out / "plans", device, workers)
+        plans |= _corrected_plans(plans, substrates, out / "plans", device, asked.workers)
     first = [_trial(key, plans) for key in keys[: len(keys) // asked.trials]]
-    nodes = nodes_needed(first, how["spacing"])
+    nodes = nodes_needed(first, common.spacing)
     planned = time.perf_counter() - start - compiled
 
     def simulate(part, progress):
         deployments = simulate_deployments(
             [_trial(key, plans) for key in part],
-            node_count=nodes, device=device, progress=progress, **how,
+            node_count=nodes, device=device, progress=progress, **common.how,
         )  # fmt: skip
         return [
             dict(zip(KEYS, key, strict=True)) | campaign.figures_of(laid, _plan_of(key, plans)[0])
             for key, laid in zip(part, deployments, strict=True)
         ]
 
-    spent = campaign.run(ledger, keys, simulate, device=device, batch=batch)
+    spent = campaign.run(ledger, keys, simulate, device=device, batch=common.batch)
     rows = ledger.of(keys)
     words, written = _reported(out, rows, curves, asked.trials, settings)
     campaign.say(

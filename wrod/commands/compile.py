@@ -10,7 +10,7 @@ from multiprocessing import parent_process
 import click
 
 from wrod import cost
-from wrod.commands.options import DEVICE, options
+from wrod.commands.options import DEVICE
 from wrod.machine import usable_cores
 from wrod.side_by_side import run
 from wrod.telling import asked, json_option
@@ -55,7 +55,7 @@ _PICTURE, _ALL = "pictures of scenes", "all"  # kernels that are no module's
 
 
 @click.command(name="compile", short_help="Compile kernels before they are needed.")
-@options(DEVICE)
+@DEVICE
 @click.option("--jobs", type=int, help="Processes at a time; at most (default) one a core.")
 @click.option("--all", "rare", is_flag=True, help="On a CPU also what few commands launch.")
 @json_option

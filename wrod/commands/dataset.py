@@ -7,7 +7,8 @@ import click
 
 from wrod import cost
 from wrod.arguments import refuse_idle_options
-from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, RodOptions, gathered, options
+from wrod.commands.options import CLOSURE, DEVICE, ROLL, RodOptions
+from wrod.options import gathered
 from wrod.telling import asked, json_option, tell
 
 
@@ -15,16 +16,16 @@ from wrod.telling import asked, json_option, tell
 @click.option("--size", type=int, required=True, help="Number of samples.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option("--seed", default=0, show_default=True)
-@options(CLOSURE)
+@CLOSURE
 @click.option(
     "--sensitivities/--no-sensitivities",
     default=True,
     help="Store the derivatives by the inputs (zero_tension only).",
 )
-@gathered("rod_options", RodOptions, ROD)
-@options(ROLL)
+@gathered("rod_options", RodOptions)
+@click.option("--roll", "roll_text", help=ROLL)
 @click.option("--shard-size", type=int, help="Samples per file; default 2048.")
-@options(DEVICE)
+@DEVICE
 @cost.force_option
 @json_option
 def command(

@@ -6,27 +6,20 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.commands.deploy_options import LAYING, PLANNED, Laying, Planned
-from wrod.commands.options import (
-    DEVICE,
-    ROD,
-    UNITS,
-    PatternOptions,
-    RodOptions,
-    gathered,
-    options,
-)
+from wrod.commands.deploy_options import Laying, Planned
+from wrod.commands.options import DEVICE, UNITS, PatternOptions, RodOptions
+from wrod.options import gathered
 from wrod.telling import json_option, tell
 
 
 @click.command(name="deploy")
 @click.argument("pattern")
-@gathered("rod_options", RodOptions, ROD)
+@gathered("rod_options", RodOptions)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@gathered("planned", Planned, PLANNED)
+@gathered("planned", Planned)
 @gathered("reading", PatternOptions, UNITS)
-@gathered("laying", Laying, LAYING)
-@options(DEVICE)
+@gathered("laying", Laying)
+@DEVICE
 @cost.force_option
 @json_option
 def command(

@@ -7,59 +7,23 @@ import click
 
 from wrod import cost
 from wrod.arguments import refuse_idle_options
-from wrod.commands.options import METHOD
+from wrod.commands.options import closure_option, method_option
+from wrod.options import option
 
 _PAGE_INTERVAL = 0.25  # [s] between the states that the page shows
-
-PLANNED = (
-    click.option(
-        "--trajectory",
-        type=click.Path(dir_okay=False, path_type=Path),
-        help="Trajectory (.npz) that `wrod plan` wrote, instead of a new plan.",
-    ),
-    click.option(
-        "--another-rod",
-        is_flag=True,
-        help="Lay another rod than that of the trajectory, on purpose.",
-    ),
-    *METHOD,
-)
-LAYING = (
-    click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient."),
-    click.option(
-        "--kinetic", type=float, help="Kinetic friction coefficient; default: the static."
-    ),
-    click.option(
-        "--fixtures",
-        "fixtures_file",
-        type=click.Path(dir_okay=False, path_type=Path),
-        help="Scene file (.json) of posts and clips to lay the rod between.",
-    ),
-    click.option("--rolling", is_flag=True, help="Let the laid rod roll freely."),
-    click.option(
-        "--trials", default=1, show_default=True, help="Disturbed trials; 1 is the ideal."
-    ),
-    click.option(
-        "--speed", type=float, help="Speed of the contact [m/s]; that of the plan, or 0.02."
-    ),
-    click.option(
-        "--release",
-        default=0.05,
-        show_default=True,
-        help="Laid length at which the free end, held for 5 cm, is let go [m].",
-    ),
-    click.option("--frames", type=float, help="Keep the rod's states at this interval [s]."),
-)
 
 
 @dataclass(frozen=True)
 class Planned:
-    """What the grip follows; see `PLANNED`."""
+    """What the grip follows."""
 
-    trajectory: Path | None
-    another_rod: bool
-    method: str
-    closure: str | None
+    trajectory: Path | None = option(
+        "Trajectory (.npz) that `wrod plan` wrote, instead of a new plan.",
+        type=click.Path(dir_okay=False, path_type=Path),
+    )
+    another_rod: bool = option("Lay another rod than that of the trajectory, on purpose.")
+    method: str = method_option()
+    closure: str | None = closure_option()
 
     def check(self) -> None:
         """Refuse options that would do nothing."""
@@ -96,16 +60,22 @@ _PACE = 0.02
 
 @dataclass(frozen=True)
 class Laying:
-    """The world that the rod is laid in, and how; see `LAYING`."""
+    """The world that the rod is laid in, and how."""
 
-    friction: float
-    kinetic: float | None
-    fixtures_file: Path | None
-    rolling: bool
-    trials: int
-    speed: float | None
-    release: float
-    frames: float | None
+    friction: float = option("Static friction coefficient.", default=0.6)
+    kinetic: float | None = option("Kinetic friction coefficient; default: the static.")
+    fixtures_file: Path | None = option(
+        "Scene file (.json) of posts and clips to lay the rod between.",
+        "--fixtures",
+        type=click.Path(dir_okay=False, path_type=Path),
+    )
+    rolling: bool = option("Let the laid rod roll freely.")
+    trials: int = option("Disturbed trials; 1 is the ideal.", default=1)
+    speed: float | None = option("Speed of the contact [m/s]; that of the plan, or 0.02.")
+    release: float = option(
+        "Laid length at which the free end, held for 5 cm, is let go [m].", default=0.05
+    )
+    frames: float | None = option("Keep the rod's states at this interval [s].")
 
     @property
     def interval(self) -> float | None:

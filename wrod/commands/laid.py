@@ -6,46 +6,24 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.commands.options import (
-    DEVICE,
-    ROD,
-    UNITS,
-    PatternOptions,
-    RodOptions,
-    gathered,
-    options,
-)
+from wrod.commands.options import DEVICE, UNITS, PatternOptions, RodOptions
+from wrod.options import gathered, option
 from wrod.rods.model_file import rod_as_json, save_rod
 from wrod.telling import json_option, tell
 
-_FIT = (
-    click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient."),
-    click.option(
-        "--holding", is_flag=True, help="Measured with the grip holding, not after it let go."
-    ),
-    click.option(
-        "--iterations", default=2, show_default=True, help="Steps of the fit; 0: residual."
-    ),
-    click.option("--fit-friction", is_flag=True, help="Find the table's friction, too."),
-    click.option(
-        "--table", type=click.Path(dir_okay=False, path_type=Path), help="Its file (.json)."
-    ),
-    click.option(
-        "--out", type=click.Path(dir_okay=False, path_type=Path), help="Fitted rod (.json)."
-    ),
-)
+_FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """What is fitted, and where it goes; see `_FIT`."""
+    """What is fitted, and where it goes."""
 
-    friction: float
-    holding: bool
-    iterations: int
-    fit_friction: bool
-    table: Path | None
-    out: Path | None
+    friction: float = option("Static friction coefficient.", default=0.6)
+    holding: bool = option("Measured with the grip holding, not after it let go.")
+    iterations: int = option("Steps of the fit; 0: residual.", default=2)
+    fit_friction: bool = option("Find the table's friction, too.")
+    table: Path | None = option("Its file (.json).", type=_FILE)
+    out: Path | None = option("Fitted rod (.json).", type=_FILE)
 
     def check(self) -> None:
         """Refuse files of what is not fitted."""
@@ -96,11 +74,11 @@ class _Fit:
     type=click.Path(dir_okay=False, path_type=Path),
     help="Trajectory (.npz) of `wrod plan` that laid them.",
 )
-@gathered("rod_options", RodOptions, ROD)
+@gathered("rod_options", RodOptions)
 @gathered("reading", PatternOptions, UNITS)
 @click.option("--noise", type=float, help="Of a coordinate [m]; default: the rods' scatter.")
-@gathered("fit", _Fit, _FIT)
-@options(DEVICE)
+@gathered("fit", _Fit)
+@DEVICE
 @json_option
 def command(
     rods: tuple[Path, ...],

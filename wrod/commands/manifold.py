@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.commands.options import CLOSURE, DEVICE, options
+from wrod.commands.options import CLOSURE, DEVICE
 from wrod.telling import json_option, tell
 
 
@@ -13,10 +13,10 @@ from wrod.telling import json_option, tell
 @click.option("--length", required=True, type=float, help="Suspended length [L_gb].")
 @click.option("--stretch-ratio", default=2087.0, show_default=True, help="k_s [-].")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@options(CLOSURE)
+@CLOSURE
 @click.option("--rays", default=69, show_default=True, help="Rays from 5 to 175 degrees.")
 @click.option("--nudge", default=0.12, show_default=True, help="Sideways offset [L_gb].")
-@options(DEVICE)
+@DEVICE
 @json_option
 def command(
     length: float,

@@ -1,118 +1,55 @@
-"""Options that several commands share, and what they mean: a rod, a pattern, method and closure.
+"""Options that several commands share, and what they mean: a rod, a pattern, method and closure."""
 
-`options(ROD, METHOD)` is a decorator that adds whole groups to a command, and
-`gathered("rod", RodOptions, ROD)` one that hands their values on as one `RodOptions`.
-"""
-
-import functools
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
 
-ROD = (
-    click.option(
-        "--rod",
-        "rod_name",
-        help="Rod by name (see `wrod rods`), rod.json, or the model.json of `wrod identify`.",
-    ),
-    click.option("--radius", type=float, help="Radius of a rod of your own, or a rod file's [m]."),
-    click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`)."),
-    click.option("--length", type=float, help="Its total length, or a rod file's instead [m]."),
+from wrod.options import option
+
+CLOSURE = click.option(
+    "--closure",
+    default="zero_tension",
+    show_default=True,
+    help="zero_tension, min_force or min_friction.",
 )
-UNITS = (click.option("--units", help="Units of a pattern file: m, cm, mm, um or in."),)
-DRAWING = (
-    click.option("--layer", help="Layer of an SVG or DXF drawing, by name; default: all seen."),
-    click.option("--stroke", type=int, help="Which of a drawing's strokes, from 1."),
-)
-CLOSURE = (
-    click.option(
-        "--closure",
-        default="zero_tension",
-        show_default=True,
-        help="zero_tension, min_force or min_friction.",
-    ),
-)
-METHOD = (
-    click.option(
-        "--method",
-        default="auto",
-        show_default=True,
-        help="neural, numeric, auto or intuitive; with --friction also distilled.",
-    ),
-    click.option(
-        "--closure",
-        help="zero_tension, min_force or min_friction; default: the most accurate for auto, "
-        "zero_tension for other methods.",
-    ),
-)
-DEVICE = (click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto."),)
-SCALE = (
-    click.option(
-        "--markers",
-        type=click.Path(path_type=Path),
-        help="A picture's scale: layout of its ArUco markers (JSON).",
-    ),
-    click.option("--sheet", help="Or the size of the bright sheet drawn on: WIDTHxHEIGHT [m]."),
-    click.option("--scale", type=float, help="Or its metres per pixel, seen from above [m/px]."),
-    click.option("--camera", type=click.Path(path_type=Path), help="Camera matrix and distortion."),
-)
-PICTURE = (
-    *SCALE,
-    click.option(
-        "--start",
-        help="Where a picture's curve begins: X,Y [m], dot, or a corner (default lower-left).",
-    ),
-)
+DEVICE = click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 ROLL = (
-    click.option(
-        "--roll",
-        "roll_text",
-        help="How a naturally curved rod is held: plane (curved in the table's plane; default), up "
-        "(curved upwards), or the roll of its first director from left to up [degrees].",
-    ),
+    "How a naturally curved rod is held: plane (curved in the table's plane; default), up (curved "
+    "upwards), or the roll of its first director from left to up [degrees]."
 )
+# Of `PatternOptions`.
+UNITS, DRAWING, SCALE = ("units",), ("layer", "stroke"), ("markers", "sheet", "scale", "camera")
+PICTURE = (*SCALE, "start")
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 
 
-def options(*groups: tuple) -> Callable:
-    """Decorator that adds groups of options, shown in the order given."""
-
-    def add(function):
-        for option in reversed([option for group in groups for option in group]):
-            function = option(function)
-        return function
-
-    return add
+def method_option():
+    """The method of a plan."""
+    return option(
+        "neural, numeric, auto or intuitive; with --friction also distilled.", default="auto"
+    )
 
 
-def gathered(name: str, kind: type, *groups: tuple) -> Callable:
-    """Decorator that adds groups of options and hands their values on as one `kind`, by `name`."""
-
-    def add(function):
-        @functools.wraps(function)
-        def run(*args, **values):
-            values[name] = kind(**{key: values.pop(key) for key in keys})
-            return function(*args, **values)
-
-        before = len(getattr(run, "__click_params__", ()))
-        options(*groups)(run)
-        keys = [option.name for option in run.__click_params__[before:]]
-        return run
-
-    return add
+def closure_option():
+    """Its closure."""
+    return option(
+        "zero_tension, min_force or min_friction; default: the most accurate for auto, "
+        "zero_tension for other methods."
+    )
 
 
 @dataclass(frozen=True)
 class RodOptions:
-    """What `ROD`'s options say."""
+    """A rod by its name, its file or its numbers."""
 
-    rod_name: str | None
-    radius: float | None
-    lgb: float | None
-    length: float | None
+    rod_name: str | None = option(
+        "Rod by name (see `wrod rods`), rod.json, or the model.json of `wrod identify`.", "--rod"
+    )
+    radius: float | None = option("Radius of a rod of your own, or a rod file's [m].")
+    lgb: float | None = option("Its gravito-bending length [m] (see `wrod loop`).")
+    length: float | None = option("Its total length, or a rod file's instead [m].")
 
     @property
     def given(self) -> bool:
@@ -154,16 +91,25 @@ class RodOptions:
 
 @dataclass(frozen=True)
 class PatternOptions:
-    """What `UNITS`, `DRAWING`'s and `PICTURE`'s options say, where a command has them."""
+    """How a pattern's file, drawing or picture is read."""
 
-    units: str | None = None
-    layer: str | None = None
-    stroke: int | None = None
-    markers: Path | None = None
-    sheet: str | None = None
-    scale: float | None = None
-    camera: Path | None = None
-    start: str | None = None
+    units: str | None = option("Units of a pattern file: m, cm, mm, um or in.", left_out=None)
+    layer: str | None = option(
+        "Layer of an SVG or DXF drawing, by name; default: all seen.", left_out=None
+    )
+    stroke: int | None = option("Which of a drawing's strokes, from 1.", left_out=None)
+    markers: Path | None = option(
+        "A picture's scale: layout of its ArUco markers (JSON).", left_out=None
+    )
+    sheet: str | None = option(
+        "Or the size of the bright sheet drawn on: WIDTHxHEIGHT [m].", left_out=None
+    )
+    scale: float | None = option("Or its metres per pixel, seen from above [m/px].", left_out=None)
+    camera: Path | None = option("Camera matrix and distortion.", left_out=None)
+    start: str | None = option(
+        "Where a picture's curve begins: X,Y [m], dot, or a corner (default lower-left).",
+        left_out=None,
+    )
 
     @property
     def given(self) -> dict:

@@ -12,17 +12,15 @@ from wrod.arguments import refuse_idle_options
 from wrod.commands.options import (
     DEVICE,
     DRAWING,
-    METHOD,
     PICTURE,
-    ROD,
     ROLL,
     UNITS,
     PatternOptions,
     RodOptions,
-    gathered,
-    options,
+    closure_option,
+    method_option,
 )
-from wrod.commands.plan_pattern import SHAPE, Shaping, fit, shorter, too_long
+from wrod.commands.plan_pattern import Shaping, fit, shorter, too_long
 from wrod.commands.plan_steps import (
     NO_JOINT_PATH,
     arm_steps,
@@ -34,61 +32,11 @@ from wrod.commands.plan_steps import (
     within_speed,
 )
 from wrod.commands.plan_summary import read_friction, read_range, summary
-from wrod.commands.robot_options import ROBOT, RobotRequest
+from wrod.commands.robot_options import RobotRequest
 from wrod.commands.running import draw_beside
 from wrod.errors import PatternError
+from wrod.options import gathered, option
 from wrod.telling import json_option, tell
-
-_GRASPS = (
-    *METHOD,
-    click.option(
-        "--controller",
-        "controller_file",
-        type=click.Path(path_type=Path),
-        help="Controller that `wrod train` made, its file or folder; of a naturally curved rod it "
-        "has to be that rod's. Default: those that ship, for straight rods.",
-    ),
-    click.option(
-        "--spacing", default=0.0025, show_default=True, help="Distance between nodes [m]."
-    ),
-    click.option(
-        "--friction",
-        "friction_text",
-        help="Of the table: a coefficient (0.3) or a range (0.2:0.6). The path is corrected until "
-        "what stays lies on the pattern, and what is expected there is said; takes a minute or "
-        "two.",
-    ),
-    click.option(
-        "--pace",
-        help="Speed of the contact on that table [m/s], or a range (0.02:0.08), of which the "
-        "fastest is taken that does no harm; 0.04.",
-    ),
-    click.option(
-        "--expect/--no-expect",
-        "expects",
-        default=True,
-        help="Lay the plan in simulation and say how far off it will lie (default); seconds.",
-    ),
-    click.option(
-        "--shapes/--no-shapes",
-        default=True,
-        help="Let the rod solver compute the rod's shapes where the method gives none (default).",
-    ),
-    click.option(
-        "--remainder/--no-remainder",
-        default=None,
-        help="Lay a lead-in of growing curvature first; by default where the pattern starts "
-        "curved.",
-    ),
-    *ROLL,
-    click.option(
-        "--spin",
-        default=0.0,
-        help="Turn the hand about the rod besides, evenly, by so much in all [degrees]: against "
-        "the pattern's turns it spares an arm's last joint, and twists the rod.",
-    ),
-)
-
 
 # Length that is laid, and of the rod, [m] of the plan that `cost.CORRECTED_PLAN` is of.
 _CORRECTED = 0.54, 0.885
@@ -96,19 +44,47 @@ _CORRECTED = 0.54, 0.885
 
 @dataclass(frozen=True)
 class _GraspRequest:
-    """How grasps are found; see `_GRASPS`."""
+    """How grasps are found."""
 
-    method: str
-    closure: str | None
-    controller_file: Path | None
-    spacing: float
-    friction_text: str | None
-    pace: str | None
-    expects: bool
-    shapes: bool
-    remainder: bool | None
-    roll_text: str | None
-    spin: float
+    method: str = method_option()
+    closure: str | None = closure_option()
+    controller_file: Path | None = option(
+        "Controller that `wrod train` made, its file or folder; of a naturally curved rod it has "
+        "to be that rod's. Default: those that ship, for straight rods.",
+        "--controller",
+    )
+    spacing: float = option("Distance between nodes [m].", default=0.0025)
+    friction_text: str | None = option(
+        "Of the table: a coefficient (0.3) or a range (0.2:0.6). The path is corrected until what "
+        "stays lies on the pattern, and what is expected there is said; takes a minute or two.",
+        "--friction",
+    )
+    pace: str | None = option(
+        "Speed of the contact on that table [m/s], or a range (0.02:0.08), of which the fastest is "
+        "taken that does no harm; 0.04."
+    )
+    expects: bool = option(
+        "Lay the plan in simulation and say how far off it will lie (default); seconds.",
+        "--expect/--no-expect",
+        default=True,
+    )
+    shapes: bool = option(
+        "Let the rod solver compute the rod's shapes where the method gives none (default).",
+        "--shapes/--no-shapes",
+        default=True,
+    )
+    remainder: bool | None = option(
+        "Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
+        "--remainder/--no-remainder",
+        default=None,
+    )
+    roll_text: str | None = option(ROLL, "--roll")
+    spin: float = option(
+        "Turn the hand about the rod besides, evenly, by so much in all [degrees]: against the "
+        "pattern's turns it spares an arm's last joint, and twists the rod.",
+        default=0.0,
+        show_default=False,
+    )
 
     def read(self) -> dict:
         """What `solve_grasps_of` takes, but for roll and friction.
@@ -172,13 +148,13 @@ class _GraspRequest:
 
 @click.command(name="plan")
 @click.argument("pattern")
-@gathered("rod_options", RodOptions, ROD)
+@gathered("rod_options", RodOptions)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@gathered("grasps", _GraspRequest, _GRASPS)
+@gathered("grasps", _GraspRequest)
 @gathered("reading", PatternOptions, UNITS, DRAWING, PICTURE)
-@gathered("shaping", Shaping, SHAPE)
-@gathered("request", RobotRequest, ROBOT)
-@options(DEVICE)
+@gathered("shaping", Shaping)
+@gathered("request", RobotRequest)
+@DEVICE
 @json_option
 def command(
     pattern: str,

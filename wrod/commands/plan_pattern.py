@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-import click
-
+from wrod.options import option
 from wrod.patterns.pattern import Pattern
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -13,31 +12,17 @@ LARGEST_CURVATURE = 3.0
 # Sizes tried for an arm, as shares of the largest, and rod left over at each [L_gb].
 _SHARES, _LEFT_OVER = (0.86, 0.72, 1.0, 0.57, 0.79, 0.64, 0.93), 5.6
 
-SHAPE = (
-    click.option("--resize", type=float, help="Draw the pattern this many times as large."),
-    click.option(
-        "--tolerance",
-        default=0.01,
-        show_default=True,
-        help="How far rounded corners may leave the pattern [m].",
-    ),
-    click.option(
-        "--hold",
-        type=float,
-        help="Grip the rod at this length from its free end instead of at its other end [m].",
-    ),
-    click.option("--reverse", is_flag=True, help="Lay the pattern from its other end."),
-)
-
 
 @dataclass(frozen=True)
 class Shaping:
-    """What `SHAPE`'s options say."""
+    """What is done to a pattern before it is planned."""
 
-    resize: float | None
-    tolerance: float
-    hold: float | None
-    reverse: bool = False
+    resize: float | None = option("Draw the pattern this many times as large.")
+    tolerance: float = option("How far rounded corners may leave the pattern [m].", default=0.01)
+    hold: float | None = option(
+        "Grip the rod at this length from its free end instead of at its other end [m]."
+    )
+    reverse: bool = option("Lay the pattern from its other end.", left_out=False)
 
 
 @dataclass(frozen=True)

@@ -7,65 +7,11 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
-import click
-
 from wrod.commands.surroundings import refuse_few_addresses
+from wrod.options import option
 
 _DEFAULT_ROBOT = "sawyer"
 
-ROBOT = (
-    click.option(
-        "--robot",
-        default=_DEFAULT_ROBOT,
-        show_default=True,
-        help="sawyer, panda, ur5e, ur10e, iiwa, xarm7, gen3, or a URDF or xacro file.",
-    ),
-    click.option("--no-robot", is_flag=True, help="Leave out joint path and scene."),
-    click.option(
-        "--placement",
-        default="auto",
-        show_default=True,
-        help="auto, or x,y,z,yaw of the pattern from the robot's base [m, degrees]; z is the "
-        "table.",
-    ),
-    click.option(
-        "--table-height",
-        type=float,
-        help="Height of the table from the robot's base [m], for --placement auto; default: tries "
-        "a few.",
-    ),
-    click.option("--flange", help="Link that carries the gripper; default: the arm's last."),
-    click.option("--tip", help="Link of the arm's own gripper at the grasp point, +z along it."),
-    click.option("--gripper-length", type=float, help="From flange to grasp point [m]; 0.15."),
-    click.option(
-        "--speed",
-        type=float,
-        help="Of the grip along its path [m/s]; as planned for the table, or 0.02.",
-    ),
-    click.option(
-        "--obstacles",
-        type=click.Path(path_type=Path),
-        help="JSON list of boxes, cylinders, spheres and meshes that stand in the way.",
-    ),
-    click.option(
-        "--lay-only",
-        is_flag=True,
-        help="Leave out approach, grasp, release and retreat: begin and end at the rod.",
-    ),
-    click.option(
-        "--remedy/--no-remedy",
-        default=True,
-        help="Where no joint path exists, look for what would help (default).",
-    ),
-    click.option(
-        "--export",
-        "exports",
-        multiple=True,
-        help="Also write ros-yaml, ros-json, mcap, urscript, libfranka, intera, poses or phases; "
-        "all that suit the arm: all.",
-    ),
-    click.option("--view", is_flag=True, help="Then play the scene in a browser on this machine."),
-)
 _NEEDED = {
     "torch": "robot", "pytorch_kinematics": "robot", "ruckig": "robot", "trimesh": "robot",
     "pxr": "scene",
@@ -74,21 +20,43 @@ _NEEDED = {
 
 @dataclass(frozen=True)
 class RobotRequest:
-    """What was asked of an arm; see `ROBOT`."""
+    """What is asked of an arm."""
 
-    robot: str
-    no_robot: bool
-    placement: str
-    table_height: float | None
-    flange: str | None
-    tip: str | None
-    gripper_length: float | None
-    speed: float | None
-    obstacles: Path | None
-    lay_only: bool
-    remedy: bool
-    exports: tuple[str, ...]
-    view: bool
+    robot: str = option(
+        "sawyer, panda, ur5e, ur10e, iiwa, xarm7, gen3, or a URDF or xacro file.",
+        default=_DEFAULT_ROBOT,
+    )
+    no_robot: bool = option("Leave out joint path and scene.")
+    placement: str = option(
+        "auto, or x,y,z,yaw of the pattern from the robot's base [m, degrees]; z is the table.",
+        default="auto",
+    )
+    table_height: float | None = option(
+        "Height of the table from the robot's base [m], for --placement auto; default: tries a few."
+    )
+    flange: str | None = option("Link that carries the gripper; default: the arm's last.")
+    tip: str | None = option("Link of the arm's own gripper at the grasp point, +z along it.")
+    gripper_length: float | None = option("From flange to grasp point [m]; 0.15.")
+    speed: float | None = option(
+        "Of the grip along its path [m/s]; as planned for the table, or 0.02."
+    )
+    obstacles: Path | None = option(
+        "JSON list of boxes, cylinders, spheres and meshes that stand in the way."
+    )
+    lay_only: bool = option(
+        "Leave out approach, grasp, release and retreat: begin and end at the rod."
+    )
+    remedy: bool = option(
+        "Where no joint path exists, look for what would help (default).",
+        "--remedy/--no-remedy",
+        default=True,
+    )
+    exports: tuple[str, ...] = option(
+        "Also write ros-yaml, ros-json, mcap, urscript, libfranka, intera, poses or phases; all "
+        "that suit the arm: all.",
+        "--export",
+    )
+    view: bool = option("Then play the scene in a browser on this machine.")
 
     def check(self) -> RobotRequest:
         """Refuse in milliseconds what would fail after the plan.

@@ -8,36 +8,24 @@ import click
 
 from wrod import cost
 from wrod.arguments import refuse_idle_options
-from wrod.commands.options import SCALE, gathered, parse_numbers, parse_start
+from wrod.commands.options import SCALE, PatternOptions, parse_numbers, parse_start
+from wrod.options import gathered, option
 from wrod.telling import asked, json_option
-
-_READING = (
-    click.option("--mask", is_flag=True, help="The pictures are masks, white on black."),
-    click.option(
-        "--kind",
-        type=click.Choice(["auto", "rod", "ink"]),
-        default="auto",
-        show_default=True,
-        help="Rods on a plain table, or strokes on paper.",
-    ),
-    click.option("--color", help="Colour of the rods as R,G,B; default: all that differs."),
-    *SCALE,
-)
 
 
 @dataclass(frozen=True)
 class _Reading:
-    """How pictures are read; see `_READING`."""
+    """How pictures are read."""
 
-    mask: bool
-    kind: str
-    color: str | None
-    markers: Path | None
-    sheet: str | None
-    scale: float | None
-    camera: Path | None
+    mask: bool = option("The pictures are masks, white on black.")
+    kind: str = option(
+        "Rods on a plain table, or strokes on paper.",
+        type=click.Choice(["auto", "rod", "ink"]),
+        default="auto",
+    )
+    color: str | None = option("Colour of the rods as R,G,B; default: all that differs.")
 
-    def of_pictures(self) -> dict:
+    def of_pictures(self, scale: PatternOptions) -> dict:
         """What `read_scan` takes.
 
         Raises:
@@ -45,15 +33,16 @@ class _Reading:
         """
         from wrod.perception.metric import CameraIntrinsics, MarkerLayout
 
-        if (self.markers, self.sheet, self.scale) == (None, None, None):
+        markers, sheet, camera = scale.markers, scale.sheet, scale.camera
+        if (markers, sheet, scale.scale) == (None, None, None):
             refuse_idle_options("a picture without a scale", "start", "several", "camera")
         if self.mask:
             refuse_idle_options("--mask", "kind", "color")
         return {
-            "markers": None if self.markers is None else MarkerLayout.load(self.markers),
-            "sheet": None if self.sheet is None else parse_numbers(self.sheet, 2, "--sheet", "x"),
-            "scale": self.scale,
-            "camera": None if self.camera is None else CameraIntrinsics.load(self.camera),
+            "markers": None if markers is None else MarkerLayout.load(markers),
+            "sheet": None if sheet is None else parse_numbers(sheet, 2, "--sheet", "x"),
+            "scale": scale.scale,
+            "camera": None if camera is None else CameraIntrinsics.load(camera),
             "mask": self.mask,
             "kind": self.kind,
             "color": None if self.color is None else parse_numbers(self.color, 3, "--color"),
@@ -63,7 +52,8 @@ class _Reading:
 @click.command(name="scan", short_help="Turn pictures of drawn curves into patterns.")
 @click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@gathered("reading", _Reading, _READING)
+@gathered("reading", _Reading)
+@gathered("scale", PatternOptions, SCALE)
 @click.option(
     "--start",
     default="lower-left",
@@ -78,6 +68,7 @@ def command(
     images: tuple[Path, ...],
     out: Path,
     reading: _Reading,
+    scale: PatternOptions,
     start: str,
     several: bool,
     overlay: bool,
@@ -98,7 +89,7 @@ def command(
         raise PerceptionError(
             f"several pictures are called {', '.join(twice)}; scan them into different folders"
         )
-    how, begin = reading.of_pictures(), parse_start(start)
+    how, begin = reading.of_pictures(scale), parse_start(start)
     rows, failures = [], []
     pixels = sum(map(picture_pixels, images))
     cost.settle(

@@ -5,21 +5,14 @@ from pathlib import Path
 import click
 
 from wrod.arguments import refuse_idle_options
-from wrod.commands.options import (
-    DRAWING,
-    PICTURE,
-    ROD,
-    UNITS,
-    PatternOptions,
-    RodOptions,
-    gathered,
-)
+from wrod.commands.options import DRAWING, PICTURE, UNITS, PatternOptions, RodOptions
+from wrod.options import gathered
 from wrod.telling import json_option, tell
 
 
 @click.command(name="show", short_help="Say what PATTERN is: its length, size and bends.")
 @click.argument("pattern")
-@gathered("rod_options", RodOptions, ROD)
+@gathered("rod_options", RodOptions)
 @gathered("reading", PatternOptions, UNITS, DRAWING, PICTURE)
 @click.option("--resize", type=float, help="Draw the pattern this many times as large.")
 @click.option("--tolerance", default=0.01, show_default=True, help="Of rounded corners [m].")
