@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from wrod import cost
+from wrod.bench.table3_paper import patterns_option
 from wrod.telling import json_option, tell
 
 # Row by row, what the true rod differs by though nobody declared it.
@@ -43,11 +44,7 @@ _FIRST_SEED = 9_000
 )
 @click.option("--seeds", default=1, show_default=True,
               help="Trials a cell: each its own disturbance and noise.")  # fmt: skip
-@click.option(
-    "--patterns",
-    type=click.Path(file_okay=False, exists=True, path_type=Path),
-    help="Folder of pattern files; default: the built-in patterns.",
-)
+@patterns_option
 @click.option("--friction", default=0.4, show_default=True, help="That is believed in.")
 @click.option("--effects", default=",".join(EFFECTS), show_default=True, help="Rows of the table.")
 @click.option(

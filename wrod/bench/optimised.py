@@ -8,6 +8,7 @@ import click
 import numpy as np
 
 from wrod import cost
+from wrod.bench.table3_paper import patterns_option, read_pattern
 from wrod.telling import asked, json_option, tell
 
 # Rods that are laid at once: one, and on a GPU as many as a learner might.
@@ -18,11 +19,7 @@ _BATCHES = (1, 64)
 @click.option("--rod", "rod_name", default="green-vps", show_default=True)
 @click.option("--names", default="letter-U,letter-A", show_default=True, help="Patterns.")
 @click.option("--friction", default=0.3, show_default=True)
-@click.option(
-    "--patterns",
-    type=click.Path(file_okay=False, exists=True, path_type=Path),
-    help="Folder of pattern files; default: the built-in patterns.",
-)
+@patterns_option
 @click.option("--together", default=0, show_default=True,
               help="Optimise so many plans of random patterns together, too.")  # fmt: skip
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
@@ -35,7 +32,6 @@ def command(
     Each is done once before, so that kernels are there. Derivatives on a GPU are compared with
     those of a CPU.
     """
-    from wrod.bench.table3_paper import read_pattern
     from wrod.machine import machine_line
     from wrod.planning.remainder import prepare
     from wrod.rods.catalogue import rod

@@ -8,18 +8,14 @@ from typing import Any
 import click
 
 from wrod import cost
-from wrod.bench.table3_paper import PATTERNS, RODS, read_pattern
+from wrod.bench.table3_paper import PATTERNS, RODS, patterns_option, read_pattern
 from wrod.machine import machine_line
 from wrod.telling import json_option, tell
 
 
 @click.command(name="robot")
 @click.option("--method", default="numeric", show_default=True, help="Planner of the trajectories.")
-@click.option(
-    "--patterns",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder of points files to use for the built-in patterns.",
-)
+@patterns_option
 @click.option(
     "--robots", default="sawyer", show_default=True, help="Arms, separated by commas, or all."
 )

@@ -6,6 +6,8 @@ deployment of deformable linear objects, Table 3 (ten trials a cell).
 
 from pathlib import Path
 
+import click
+
 PATTERNS = ("line", "circle", "sine", "letter-U", "letter-C", "letter-L", "letter-A")
 RODS = ("pink-vps", "green-vps", "rope")
 SUBSTRATES = ("fabric", "steel", "foam")
@@ -56,6 +58,14 @@ def measured() -> dict[tuple[str, str, str, str], tuple[float, float]]:
                 for p, name in enumerate(PATTERNS):
                     table[rod, substrate, name, method] = (row[2 * p], row[2 * p + 1])
     return table
+
+
+# What `read_pattern` reads patterns from.
+patterns_option = click.option(
+    "--patterns",
+    type=click.Path(file_okay=False, exists=True, path_type=Path),
+    help="Folder of pattern files (line.txt, letterA.txt, ...); default: the built-in patterns.",
+)
 
 
 def read_pattern(name: str, folder: Path | None):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+from scipy.cluster.hierarchy import DisjointSet
 
 from wrod.errors import PerceptionError
 from wrod.perception.skeleton import Skeleton
@@ -81,9 +82,9 @@ def build_network(skeleton: Skeleton) -> Network:
     refuse_a_texture(len(chains), _MOST_CHAINS, "pieces of line stand out of the background")
     inside = np.concatenate([c.pixels for c in chains if len(c.pixels)] or [np.zeros(0, int)])
     radius = float(np.median(clearance[inside])) if len(inside) else 0.0
-    group = _Groups(skeleton.junctions.tolist())
+    group = DisjointSet(skeleton.junctions.tolist())
     for a, b in skeleton.links.tolist():
-        group.join(a, b)
+        group.merge(a, b)
 
     arms, loose = {}, {j: [j] for j in skeleton.junctions.tolist()}
     for number, chain in enumerate(chains):
@@ -95,7 +96,7 @@ def build_network(skeleton: Skeleton) -> Network:
             for node in ends:
                 loose[node].extend(chain.pixels.tolist())
             if len(ends) == 2:
-                group.join(*ends)
+                group.merge(*ends)
             continue
         arms[number] = (first, last)
         for node, cut in zip(chain.nodes, (chain.pixels[:first], chain.pixels[last:]), strict=True):
@@ -104,7 +105,7 @@ def build_network(skeleton: Skeleton) -> Network:
 
     members: dict[int, Junction] = {}
     for junction in skeleton.junctions.tolist():
-        root = members.setdefault(group.find(junction), Junction([], np.zeros(0, int)))
+        root = members.setdefault(group[junction], Junction([], np.zeros(0, int)))
         root.pixels = np.concatenate([root.pixels, np.array(loose[junction], int)])
     network = Network(skeleton, arms, [], radius)
     for number in arms:
@@ -114,7 +115,7 @@ def build_network(skeleton: Skeleton) -> Network:
         for side, node in enumerate(chain.nodes):
             port = _port(network, number, side)
             if node >= 0:
-                members[group.find(node)].ports.append(port)
+                members[group[node]].ports.append(port)
             else:
                 network.free.append(port)
     for junction in members.values():
@@ -135,21 +136,6 @@ def refuse_a_texture(count: int, most: int, what: str) -> None:
             f"{count} {what}, and {most} are the most that rods or strokes make; it is a texture "
             "or noise: crop the picture to the plain sheet or table, or blur it"
         )
-
-
-class _Groups:
-    """Union-find over junction pixels."""
-
-    def __init__(self, items):
-        self.parent = {item: item for item in items}
-
-    def find(self, item):
-        while self.parent[item] != item:
-            self.parent[item] = item = self.parent[self.parent[item]]
-        return item
-
-    def join(self, a, b):
-        self.parent[self.find(a)] = self.find(b)
 
 
 def _is_burr(skeleton: Skeleton, chain, radius: float) -> bool:

@@ -40,9 +40,9 @@ class HeldFit:
     snapped: np.ndarray
     noise: float
 
-    def model(self, which: int, angle: float, values: np.ndarray | None = None) -> CableModel:
+    def model(self, which: int, angle: float) -> CableModel:
         """The model of set number `which` at the hand's angle [rad]."""
-        return _model(self.names, self.values if values is None else values, which, angle)
+        return _model(self.names, self.values, which, angle)
 
 
 def fit_held(

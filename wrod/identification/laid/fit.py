@@ -167,8 +167,6 @@ def fit_laid(
     Raises:
         DataError: no iteration is asked for, or the simulation of the believed rod diverged.
     """
-    if iterations < 1:
-        raise DataError(f"iterations is {iterations}; give at least 1")
     law = friction if isinstance(friction, Friction) else Friction(friction)
     roll = trajectory.roll
     active = list(range(len(PARAMETERS) if fit_friction else len(_OF_ROD)))

@@ -259,7 +259,6 @@ class MotionLaboratory:
         *,
         iterations: int = 12,
         converged: float = _CONVERGED,
-        say=None,
     ) -> tuple[np.ndarray, Linearised]:
         """Levenberg-Marquardt from `values`."""
         values = np.asarray(values, dtype=float)
@@ -267,8 +266,6 @@ class MotionLaboratory:
         now = self.linearise(windows, model, values)
         damping = _DAMPING
         for _ in range(iterations):
-            if say:
-                say(values, now)
             before = now.cost
             trial, cost, damping = self._step(windows, model, values, now, damping)
             if trial is None:
