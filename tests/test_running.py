@@ -181,7 +181,10 @@ def test_an_interrupted_command_says_so(tmp_path):
             assert time.monotonic() < deadline and run.poll() is None
             time.sleep(0.1)
         run.send_signal(signal.SIGINT)
-        _, said = run.communicate(timeout=120)
+        try:
+            _, said = run.communicate(timeout=120)
+        finally:
+            run.kill()  # or the test would wait for one that hangs
     assert run.returncode == INTERRUPTED and "Traceback" not in said
     assert "wrod: interrupted" in said and (tmp_path / "out" / "manifest.json").exists()
 
