@@ -1,6 +1,7 @@
 """`wrod bench applications`: cables laid between fixtures, and knots. Restartable."""
 
 import time
+from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -66,12 +67,16 @@ def command(
     from wrod.bench.applications_cables import disturbances_text
     from wrod.bench.applications_report import markdown, table
     from wrod.bench.applications_trials import METHODS, SHORT
+    from wrod.errors import DataError
     from wrod.files import row_schemas
     from wrod.files.ledger import Ledger
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
+    for module in ("newton", "pxr", "pytorch_kinematics") if usd else ():
+        if find_spec(module) is None:  # said before hours of work
+            raise DataError(f"--usd needs {module}; install it with: pip install 'wrod[all]'")
     cases = chosen or CASES
     kind = row_schemas.ApplicationsRow
     ledger = Ledger(out / "trials.jsonl", {}, ("case", "method", "trial"), "applications", kind)
