@@ -9,7 +9,7 @@ steps in which anything is touched to the two-step formula.
 
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
-from wrod.kernels.lanes import count_of_lanes
+from wrod.kernels.lanes import count_of_lanes, wait_for_lanes
 
 wp.set_module_options({"enable_backward": False})
 
@@ -249,3 +249,36 @@ def ask_on(
     going_out[0] = wp.where(found > 0 and rounds[0] < most_rounds, 1, 0)
     going_out[1] = wp.where(found > 0, 1, 0)
     rounds[0] = rounds[0] + 1
+
+
+@wp.kernel
+def measure(
+    # Model:
+    end: wp.array(dtype=wp.float64),
+    # State in:
+    dof: wp.array2d(dtype=wp.float64),
+    force: wp.array2d(dtype=wp.vec3d),
+    slip: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    pace: Pace,
+    # State out:
+    dof_out: wp.array2d(dtype=wp.float64),
+    force_out: wp.array2d(dtype=wp.vec3d),
+    slip_out: wp.array2d(dtype=wp.float64),
+):
+    """Keep where a rod is that has come to its time or goes no further, what touches it and how far
+    that slid; and let it go on until `end`, if it can. Launched over (rod, lane)."""
+    r, lane = wp.tid()
+    if pace.running[r] != 0 or pace.until[r] == end[r]:
+        return
+    wait_for_lanes()
+    for a in range(lane, dof.shape[1], wp.block_dim()):
+        dof_out[r, a] = dof[r, a]
+    for i in range(lane, force.shape[1], wp.block_dim()):
+        force_out[r, i] = force[r, i]
+        slip_out[r, i] = slip[r, i]
+    if lane == 0:
+        pace.until[r] = end[r]
+        goes_on = 1 - pace.diverged[r]
+        pace.running[r] = goes_on
+        pace.starting[r] = goes_on

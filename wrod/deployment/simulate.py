@@ -24,6 +24,7 @@ from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import Disturbance, Setup, disturb, mesh, prepare_deployment
 from wrod.deployment.trial import Trial
 from wrod.errors import RodError
+from wrod.kernels.stepping import pace
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
@@ -31,10 +32,10 @@ from wrod.rods.device import resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.state import node_positions
+from wrod.solvers import streams
 from wrod.solvers.compiling import compile_steps
 from wrod.solvers.contact import Friction, FrictionField
 from wrod.solvers.recording import launching
-from wrod.solvers.streams import run_at_once
 
 # Rods stepped at once on a CPU, and cores from which on threads, which cannot record their launches
 # and spend several times the processor time, are faster than one that replays them.
@@ -199,7 +200,7 @@ def _shared_out(run: Callable, chunks: list[list[int]], workers: int, device: st
         with ThreadPoolExecutor(workers) as pool:
             done = list(pool.map(run, chunks))
     else:
-        done = run_at_once([partial(run, chunk) for chunk in chunks], device)
+        done = streams.run_at_once([partial(run, chunk) for chunk in chunks], device)
     of = dict(zip(chain.from_iterable(chunks), chain.from_iterable(done), strict=True))
     return [of[i] for i in sorted(of)]
 
@@ -302,13 +303,20 @@ def _simulate(
         report(now - done)
         done = now
 
-    advance = dict(frames=frames, frame_interval=frame_interval or 1.0, progress=note)
-    dynamics.advance(np.array([s.measure_time for s in setups]), step, **advance)
-    held, force, slip = (
-        part.copy() for part in (batch.positions(), contact.force.numpy(), contact.slip.numpy())
-    )
-    end = dynamics.advance(ends, step, **advance)
+    held, force, slip = (wp.clone(a) for a in (batch.state.dof, contact.force, contact.slip))
+    until = wp.array(ends, dtype=wp.float64, device=batch.device)
+
+    def measure() -> None:
+        """Of rods that the grip has laid; none waits for others to go on."""
+        found = [batch.state.dof, contact.force, contact.slip, dynamics.pace]
+        batch.launch_lanes(pace.measure, [until, *found], [held, force, slip])
+
+    end = dynamics.advance(
+        np.array([s.measure_time for s in setups]), step,
+        frames=frames, frame_interval=frame_interval or 1.0, progress=note, then=measure,
+    )  # fmt: skip
     note(ends)
+    laid, force, slip = node_positions(streams.read(held)), streams.read(force), streams.read(slip)
     released, film = batch.positions(), None if frames is None else frames.numpy()
     speed = np.linalg.norm(dynamics.velocities(), axis=2).max(axis=1)
     penetration = contact.penetration()
@@ -316,7 +324,7 @@ def _simulate(
     for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
         pattern = with_remainder_of(trial.pattern, trial.trajectory)
         sink = np.array([0.0, 0.0, trial.rod.radius - pattern.sample(0.0)[0][0, 2]])
-        now, later = held[k] - sink, released[k] - sink
+        now, later = laid[k] - sink, released[k] - sink
         pictures = hand = None
         if film is not None:
             count = int(np.floor(end.time[k] / frame_interval + 1e-9)) + 1
