@@ -3,11 +3,14 @@ import json
 import continuum
 import numpy as np
 import pytest
+import warp as wp
 
 from wrod.errors import GraspError
 from wrod.grasps import levels
 from wrod.grasps.inputs import whole_range
 from wrod.grasps.optimal import solve_grasps
+
+needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
 
 
 def errors(a, b):
@@ -250,22 +253,26 @@ def test_what_did_not_converge_is_flagged(monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["torch", "warp"])
-def test_tensors_and_device_arrays_come_back_as_what_they_were(kind):
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=needs_gpu)])
+def test_tensors_and_device_arrays_come_back_as_what_they_were(kind, device):
+    """And a GPU finds what a CPU does."""
     ls, kappa = np.array([4.0, 17.68, 30.0]), np.array([1.0, -0.5, 0.0])
     expected = solve_grasps(ls, kappa, 700.0, sensitivities=True, device="cpu")
     if kind == "torch":
         torch = pytest.importorskip("torch")
-        inputs = torch.from_numpy(ls), torch.from_numpy(kappa)
+        inputs = tuple(torch.from_numpy(values).to(device) for values in (ls, kappa))
         wanted = torch.Tensor
     else:
-        wp = pytest.importorskip("warp")
-        inputs = wp.array(ls, dtype=wp.float64), wp.array(kappa, dtype=wp.float64)
+        inputs = tuple(wp.array(v, dtype=wp.float64, device=device) for v in (ls, kappa))
         wanted = wp.array
     grasps = solve_grasps(*inputs, 700.0, sensitivities=True)
     for name in ("position", "rotation", "force", "shape", "position_sensitivity", "converged"):
-        value = getattr(grasps, name)
+        value, right = getattr(grasps, name), getattr(expected, name)
         assert isinstance(value, wanted)
-        assert np.array_equal(value.numpy(), getattr(expected, name))
+        assert str(value.device) == device
+        found = value.cpu().numpy() if kind == "torch" else value.numpy()
+        off = np.abs(found.astype(float) - right).max()
+        assert off <= (0.0 if device == "cpu" else 1e-10 * np.abs(right).max()), name
 
 
 def test_bad_values_in_tensors_are_named():
