@@ -117,7 +117,8 @@ class System:
         negative = wp.full(RODS, -1, dtype=wp.int32, device=self.device)
         x = self.array(np.zeros_like(right), wp.float64)
         profile = [self.free, self.order, self.first, self.last, self.row]
-        inputs = [self.coupled, self.overflow, self.reach, *profile]
+        near = skyline_window.reach_of(self.nodes)
+        inputs = [self.coupled, self.overflow, self.reach, near, *profile]
         self.launch(
             skyline_window.eliminate,
             [*inputs, self.array(right[:, 0], wp.float64), self.zeros(wp.float64, 4)],

@@ -23,6 +23,12 @@ REACH = ROWS - 2
 _STRIDE = 17
 _AHEAD = 4
 
+
+def reach_of(nodes: int) -> int:
+    """How far columns of rods of so many nodes may reach; -1 where their solution does not fit."""
+    return REACH if 4 * nodes <= _STRIDE * ROWS * (ROWS + 1) // 2 else -1
+
+
 _ELIMINATE = (
     f"const int TEAM = {TEAM}, W = {ROWS}, STRIDE = {_STRIDE};\n#define WROD_AHEAD {_AHEAD}\n"
     + """
@@ -42,7 +48,7 @@ _ELIMINATE = (
 #define WROD_UNROLL _Pragma("unroll")
     // Where the ring of a diagonal begins.
 #define WROD_RING(k) ((k) * W - (k) * ((k) - 1) / 2)
-    const int n = first.shape[1], dofs = x.shape[2], ROOM = STRIDE * W * (W + 1) / 2;
+    const int n = first.shape[1], dofs = x.shape[2], ROOM = STRIDE * (W * (W + 1) / 2);
     double* lines = (double*)(block.data) + (size_t)r * block.shape[1] * 4;
     const int* starts = first.data + (size_t)r * n;
     const int* ends = last.data + (size_t)r * n;
@@ -153,17 +159,30 @@ _ELIMINATE = (
         double d[4][4], inverse[4], known[4];
         WROD_UNROLL for (int c = 0; c < 4; ++c)
             WROD_UNROLL for (int e = 0; e <= c; ++e) d[c][e] = diagonal[4 * c + e];
-        WROD_UNROLL for (int c = 0; c < 4; ++c) {
-            // A pivot that cancels to nothing would end as infinity; keep its sign, give it a size.
+        // Two pivots at a time, so that their reciprocals do not wait for each other.
+        WROD_UNROLL for (int c = 0; c < 4; c += 2) {
+            // One that cancels to nothing would end as infinity; keep its sign, give it a size.
             const double least = smallest * (fabs(size[4 * here + c]) + smallest);
+            const double second = smallest * (fabs(size[4 * here + c + 1]) + smallest);
             if (fabs(d[c][c]) < least) d[c][c] = d[c][c] < 0.0 ? -least : least;
-            negative += d[c][c] < 0.0;
-            inverse[c] = 1.0 / d[c][c];
-            WROD_UNROLL for (int e = c + 1; e < 4; ++e) {
-                const double entry = d[e][c] * inverse[c];
-                WROD_UNROLL for (int f = c + 1; f <= e; ++f) d[e][f] -= entry * d[f][c];
+            const double pivot = d[c][c], beside = d[c + 1][c];
+            double both = pivot * d[c + 1][c + 1] - beside * beside;
+            const bool falls = both != 0.0 && (both < 0.0) != (pivot < 0.0);
+            if (fabs(both) < second * fabs(pivot)) both = falls ? -second * pivot : second * pivot;
+            negative += (pivot < 0.0) + falls;
+            inverse[c] = 1.0 / pivot;
+            inverse[c + 1] = pivot * (1.0 / both);
+            d[c + 1][c] = beside * inverse[c];
+            d[c + 1][c + 1] = both * inverse[c];
+            WROD_UNROLL for (int e = c + 2; e < 4; ++e) {
+                const double left = d[e][c], next = d[e][c + 1] - left * d[c + 1][c];
+                d[e][c] = left * inverse[c];
+                d[e][c + 1] = next * inverse[c + 1];
+                WROD_UNROLL for (int f = c + 2; f <= e; ++f) {
+                    d[e][f] -= d[e][c] * (f < e ? d[f][c] * pivot : left);
+                    d[e][f] -= d[e][c + 1] * (f < e ? d[f][c + 1] * d[c + 1][c + 1] : next);
+                }
             }
-            WROD_UNROLL for (int e = c + 1; e < 4; ++e) d[e][c] *= inverse[c];
         }
         WROD_UNROLL for (int c = 0; c < 4; ++c) {
             known[c] = value[4 * here + c];
@@ -215,13 +234,17 @@ _ELIMINATE = (
                 double* own = window + STRIDE * to + 4 * e;
                 const double* left = window + STRIDE * at[i + 1] + 4 * e;
                 const double* other = window + STRIDE * at[j + 1];
-                double scaled[4];
-                WROD_UNROLL for (int c = 0; c < 4; ++c) scaled[c] = left[c] * inverse[c];
-                WROD_UNROLL for (int f = 0; f < 4; ++f) {
-                    double change = 0.0;
-                    WROD_UNROLL for (int c = 0; c < 4; ++c) change += scaled[c] * other[4 * f + c];
-                    own[f] -= change;
+                // All is read before anything is written, which might be the same for a compiler.
+                double scaled[4], entries[16], result[4];
+                WROD_UNROLL for (int c = 0; c < 16; ++c) entries[c] = other[c];
+                WROD_UNROLL for (int c = 0; c < 4; ++c) {
+                    scaled[c] = left[c] * inverse[c];
+                    result[c] = own[c];
                 }
+                WROD_UNROLL for (int c = 0; c < 4; ++c)
+                    WROD_UNROLL for (int f = 0; f < 4; ++f)
+                        result[f] -= scaled[c] * entries[4 * f + c];
+                WROD_UNROLL for (int f = 0; f < 4; ++f) own[f] = result[f];
                 j += TEAM / 4;
                 while (j > i) j -= ++i;
             }
@@ -239,11 +262,10 @@ _ELIMINATE = (
         WROD_FETCH_PROFILE(b + W + 2)
     }
     // The way back. The window is free now.
-    double* back = 4 * n <= ROOM ? window : far;
+    double* back = window;
     WROD_TEAM {
         if (lane == 0) negative_pivots_out.data[r] = negative;
-        if (back != far)
-            for (int k = lane; k < 4 * n; k += TEAM) back[k] = far[k];
+        for (int k = lane; k < 4 * n; k += TEAM) back[k] = far[k];
     }
     // What a lane needs next: a row of a block of L^T, and which unknown it changes; and where the
     // rows after those start and lie.
@@ -341,6 +363,7 @@ def eliminate(
     coupled: wp.array(dtype=wp.int32),
     overflow: wp.array(dtype=wp.int32),
     reach: wp.array(dtype=wp.int32),
+    most_reach: int,
     free: wp.array2d(dtype=wp.int32),
     order: wp.array2d(dtype=wp.int32),
     first: wp.array2d(dtype=wp.int32),
@@ -356,11 +379,12 @@ def eliminate(
     negative_pivots_out: wp.array(dtype=wp.int32),
 ):
     """`skyline.factorise`, then `skyline.solve` for the gradient, of rods none of whose columns
-    reaches too far; of others the gradient becomes the right-hand side."""
+    reaches farther than `most_reach` rows, which `reach_of` tells; of others the gradient becomes
+    the right-hand side."""
     r, lane = wp.tid()
     if coupled[r] == 0 or overflow[r] != 0:
         return
-    if reach[r] <= REACH:
+    if reach[r] <= most_reach:
         eliminate_rod(free, order, first, last, row, gradient, y, r, block, x, negative_pivots_out)
     else:
         for a in range(lane, gradient.shape[1], wp.block_dim()):

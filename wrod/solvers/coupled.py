@@ -131,12 +131,13 @@ class CoupledSystem(PairedSystem):
             wp.copy(self.x[:, 0], gradient)
         BandedSystem.eliminate(self, gradient, hessian, self.banded)
         self._assemble(hessian)
+        near = skyline_window.reach_of(self.batch.node_count)
         if self._on_gpu:
-            inputs = [*self._chosen, self._reach, self.batch.free, *self._profile, gradient]
+            inputs = [*self._chosen, self._reach, near, self.batch.free, *self._profile]
             outputs = [self._lines, self.x, self.negative_pivots]
-            self._together(skyline_window.eliminate, [*inputs, self._y], outputs)
-        self._factorise_coupled(skyline_window.REACH + 1)
-        self._solve_coupled(1, skyline_window.REACH + 1)
+            self._together(skyline_window.eliminate, [*inputs, gradient, self._y], outputs)
+        self._factorise_coupled(near + 1)
+        self._solve_coupled(1, near + 1)
 
     def factorise(self, hessian: wp.array, active: wp.array) -> None:
         self._collect(active)
