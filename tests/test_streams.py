@@ -1,4 +1,4 @@
-"""Batches that run at the same time on one device."""
+"""Deployments that are shared out to batches and threads."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -10,29 +10,9 @@ import warp as wp
 import wrod
 from wrod.deployment import simulate
 from wrod.deployment.simulate import simulate_deployments
-from wrod.solvers import streams
 
 needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
 DEVICES = ["cpu", pytest.param("cuda:0", marks=needs_gpu)]
-
-
-@pytest.mark.parametrize("device", DEVICES)
-def test_jobs_at_once_return_in_order_what_they_return_alone(device):
-    def job(number: int):
-        values = wp.full(4, float(number), dtype=wp.float64, device=device)
-        streams.wait(device)
-        return float(streams.read(values).sum())
-
-    jobs = [lambda k=k: job(k) for k in range(5)]
-    assert streams.run_at_once(jobs, device) == [0.0, 4.0, 8.0, 12.0, 16.0]
-    common = None if device == "cpu" else wp.get_stream(device)
-    with pytest.raises(ValueError, match="the third"):
-        streams.run_at_once([*jobs[:2], _fails, *jobs], device)
-    assert common is None or wp.get_stream(device) == common
-
-
-def _fails():
-    raise ValueError("the third")
 
 
 @pytest.mark.parametrize("device", DEVICES)

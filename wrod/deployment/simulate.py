@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -40,8 +39,6 @@ from wrod.solvers.recording import launching
 # Rods stepped at once on a CPU, and cores from which on threads, which cannot record their launches
 # and spend several times the processor time, are faster than one that replays them.
 _CPU_CHUNK, _MANY_CORES = 16, 8
-# On a GPU so many trials are shared out to so many streams.
-_MANY, _STREAMS = 300, 4
 
 
 @arguments.checked(
@@ -191,16 +188,16 @@ def simulate_deployments(
             **options,
         )
 
-    return _shared_out(run, chunks, workers if parallel else 1, device)
+    return _shared_out(run, chunks, workers if parallel else 1)
 
 
-def _shared_out(run: Callable, chunks: list[list[int]], workers: int, device: str) -> list:
+def _shared_out(run: Callable, chunks: list[list[int]], workers: int) -> list:
     """What `run` makes of the trials of every chunk, in their own order."""
     if workers > 1:
         with ThreadPoolExecutor(workers) as pool:
             done = list(pool.map(run, chunks))
     else:
-        done = streams.run_at_once([partial(run, chunk) for chunk in chunks], device)
+        done = [run(chunk) for chunk in chunks]
     of = dict(zip(chain.from_iterable(chunks), chain.from_iterable(done), strict=True))
     return [of[i] for i in sorted(of)]
 
@@ -212,8 +209,6 @@ def _chunks(count: int, device: str, threads: int | None) -> tuple[list[list[int
         workers = threads or (cores if cores >= _MANY_CORES else 1)
         size = max(1, min(_CPU_CHUNK, -(-count // workers)))
     every = list(range(count))
-    if device != "cpu" and count >= _MANY:
-        return [every[first::_STREAMS] for first in range(_STREAMS)], 1
     return [every[first : first + size] for first in range(0, count, size)], workers
 
 

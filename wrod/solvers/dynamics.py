@@ -273,7 +273,6 @@ class Dynamics(NewtonSteps):
             else:
                 wp.capture_launch(graph)
             taken += 1
-            streams.wait(batch.device)
             going = streams.read(self._going)[1] != 0
             if progress is not None and (graph is not None or taken % _ROUNDS == 0):
                 progress(streams.read(self.time))
