@@ -67,7 +67,7 @@ def test_speeds_count_and_derivatives_are_limits_of_differences(path):
 
 def test_a_range_of_paces_ends_where_the_arm_does():
     def arm(fastest):
-        def solve(_, __, *, grip_speed, whole_job):
+        def solve(_, *, grip_speed, whole_job):
             if fastest is None:
                 raise RobotError("no joint path")
             return SimpleNamespace(metadata={"grip_speed": min(grip_speed, fastest)})
@@ -75,7 +75,7 @@ def test_a_range_of_paces_ends_where_the_arm_does():
         return SimpleNamespace(solve=solve, no_robot=False)
 
     def planned():
-        return SimpleNamespace(rod=None), None, None
+        return None, None, None
 
     said = [within_speed(arm(v), (0.02, 0.08), planned) for v in (1.0, 0.06, 0.001, None)]
     fast = (0.02, 0.08)
