@@ -14,6 +14,8 @@ from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.noise import NoiseModel, _Restricted
 from wrod.identification.clamped.scatter import only_scatter
+from wrod.identification.clamped.selection import _weighed_anew
+from wrod.identification.clamped.steps import base_fit
 from wrod.identification.clamped.trace import trace
 from wrod.identification.effect import Model, effects
 
@@ -92,3 +94,9 @@ def test_standard_errors_are_what_estimates_scatter_by():
         # Of 12 draws a standard deviation is known to 20 %.
         assert np.median(np.array(said)[:, k]) == pytest.approx(spread, rel=0.6)
     assert (np.array(said)[np.array(found) == 0.0] == 0.0).all()
+
+
+def test_where_nothing_was_chosen_other_weights_leave_nothing():
+    lab = laboratory("natural_curvature", 101, "pose")
+    again = _weighed_anew(lab, base_fit(lab))
+    assert again.model.effects == () and again.chi_squared == base_fit(lab).chi_squared

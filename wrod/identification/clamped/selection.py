@@ -218,6 +218,8 @@ def _noise_changed(laboratory: Laboratory, current: Fit) -> bool:
 
 def _weighed_anew(laboratory: Laboratory, fit: Fit) -> Fit:
     """The effects of a model that are needed with the present noise."""
+    if not fit.model.effects:
+        return base_fit(laboratory)
     again = fit_models(laboratory, [fit.model], [fit.values], origin=fit, race=False)[0]
     return pruned(laboratory, again)
 
