@@ -109,18 +109,34 @@ def test_a_pair_is_found_among_every_candidate():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "experiment",
-    [
-        Experiment(curvature=lambda s: np.array([[0.6], [0.4]]) * around(s, 0.22, 0.008)),
-        Experiment(
-            force=lambda s: np.array([[0.03], [0.04], [0.0]]) / (1 + np.exp((0.25 - s) / 0.01))
-        ),
-        Experiment(grip_turn=np.outer(np.random.default_rng(3).normal(size=12), [0.0, 0.0, 0.7])),
-    ],
-    ids=["kink", "draught on half the rod", "roll that sticks in the gripper"],
-)
-def test_what_no_effect_covers_is_not_called_explained(experiment):
-    report = identify(made(experiment, seed=3))
+def test_a_kink_is_built_from_its_print():
+    bend = Experiment(curvature=lambda s: np.array([[0.6], [0.4]]) * around(s, 0.22, 0.008))
+    report = identify(made(bend, seed=3))
+    assert report.verdict == "explained" and [e.name for e in report.effects] == ["local_bend"]
+    found = report.effects[0].parameters
+    assert found["angle_1"].value == pytest.approx(0.6, rel=0.05)
+    assert found["angle_2"].value == pytest.approx(0.4, rel=0.05)
+    assert found["arc_length"].value == pytest.approx(0.22, abs=0.002)
+    assert found["width"].value == pytest.approx(0.008, rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_draught_on_half_the_rod_is_built_from_its_print():
+    def force(s):
+        return np.array([[0.03], [0.04], [0.0]]) / (1 + np.exp((0.25 - s) / 0.01))
+
+    report = identify(made(Experiment(force=force), seed=3))
+    assert report.verdict == "explained" and [e.name for e in report.effects] == ["local_load"]
+    found = report.effects[0].parameters
+    said = [found[name].value for name in ("force_x", "force_y", "force_z")]
+    np.testing.assert_allclose(said, [0.03, 0.04, 0.0], atol=0.0025)
+    assert found["start"].value == pytest.approx(0.25, abs=0.005)
+
+
+@pytest.mark.slow
+def test_what_no_effect_covers_is_not_called_explained():
+    """A roll that sticks in the gripper, another in each trial."""
+    turns = np.outer(np.random.default_rng(3).normal(size=12), [0.0, 0.0, 0.7])
+    report = identify(made(Experiment(grip_turn=turns), seed=3))
     assert report.verdict in ("unexplained", "partly-explained")
     assert report.prints[0].evidence > 0.0
