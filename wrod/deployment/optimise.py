@@ -361,15 +361,14 @@ def _descend(problem: _Problem, ahead: bool) -> Course[tuple[list[_State], list[
         states.append(tried)
         last |= k >= _STEPS and tried.measure > (1.0 - _SAVED) * best.measure
         if tried.measure < best.measure:
-            enough = tried.measure > _DONE * best.measure
+            idle = tried.measure > _DONE * best.measure
             promised = saved * best.value
             if length > radius and best.value - tried.value > _KEPT_PROMISE * promised:
                 radius *= _LONGER
             best = tried
-            if enough or (last and not ahead):
-                break
         else:
             radius = _SHORTER * min(radius, length)
-            if (last and not ahead) or not radius > _SHORTEST:
-                break
+            idle = not radius > _SHORTEST
+        if idle or (last and not ahead):
+            break
     return states, []
