@@ -36,9 +36,11 @@ def command(size: int, out: Path, seed: int, steps: int, rounds: int, device: st
     \b
       torchrun --nproc-per-node 32 --no-python wrod distil --size 400 --out DIR
     """
+    from wrod.rods.device import resolve_device
     from wrod.training.dataset import Rank
     from wrod.training.plans import generate
 
+    device = resolve_device(device)  # refused before anything is computed
     rank = Rank.from_environment()
     visits = 0 if rank.count > 1 else rounds
     work = cost.CORRECTED_PLAN * size / rank.count * (1.0 + _LAID_ONCE * visits)
