@@ -45,7 +45,7 @@ class Arm:
         import torch
 
         with torch.no_grad():
-            q = torch.from_numpy(np.ascontiguousarray(positions))
+            q = torch.tensor(positions)
             return self.robot.chain.forward_kinematics_tensor(q)
 
     def grasps(self, positions: np.ndarray) -> np.ndarray:

@@ -58,7 +58,7 @@ def inspect(
     """Check joint positions (K, n) at samples `travel` against grasp poses (K, 4, 4)."""
     import torch
 
-    q = torch.from_numpy(np.ascontiguousarray(positions))
+    q = torch.tensor(positions)
     pose = torch.from_numpy(grasp_poses(robot, positions))
     error = pose_error(pose, torch.from_numpy(targets))
     off, turned = error[:, :3].norm(dim=-1).numpy(), error[:, 3:].norm(dim=-1).numpy()
