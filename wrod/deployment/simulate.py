@@ -31,9 +31,9 @@ from wrod.rods.device import resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.state import node_positions
-from wrod.solvers import streams
 from wrod.solvers.compiling import compile_steps
 from wrod.solvers.contact import Friction, FrictionField
+from wrod.solvers.readback import read
 from wrod.solvers.recording import launching
 
 # Rods stepped at once on a CPU, and cores from which on threads, which cannot record their launches
@@ -311,7 +311,7 @@ def _simulate(
         frames=frames, frame_interval=frame_interval or 1.0, progress=note, then=measure,
     )  # fmt: skip
     note(ends)
-    laid, force, slip = node_positions(streams.read(held)), streams.read(force), streams.read(slip)
+    laid, force, slip = node_positions(read(held)), read(force), read(slip)
     released, film = batch.positions(), None if frames is None else frames.numpy()
     speed = np.linalg.norm(dynamics.velocities(), axis=2).max(axis=1)
     penetration = contact.penetration()

@@ -12,7 +12,7 @@ from wrod.knots.moves import approach
 from wrod.knots.tying_run import TyingRun
 from wrod.knots.workbench import TICK, Poses, Workbench
 from wrod.rods.state import node_positions
-from wrod.solvers import streams
+from wrod.solvers.readback import read
 
 # Once the pull is reached the knot comes to rest [s]; then the pull is kept up for so long [s], and
 # the knot may give so far in that time, in diameters of the thinnest rod.
@@ -123,16 +123,16 @@ def keep_up(
         places, waits = held.at_key()
         if film is not None:
             film([Poses(places[:, h] - carried[:, h], pair.rotation) for h in range(2)])
-    way, tight_way = streams.read(pull.way), streams.read(pull.tight_way)
+    way, tight_way = read(pull.way), read(pull.tight_way)
     crept = np.nan_to_num(share.sum() * np.abs(way - tight_way))
-    kept = (streams.read(pull.kept) != 0) & (streams.read(pull.lowest) >= _KEPT * load)
-    nodes = node_positions(streams.read(tight))
+    kept = (read(pull.kept) != 0) & (read(pull.lowest) >= _KEPT * load)
+    nodes = node_positions(read(tight))
     return Outcome(
         bench.load(),
-        streams.read(pull.strongest),
+        read(pull.strongest),
         crept,
         kept & (crept <= give),
-        streams.read(pull.tight_at),
+        read(pull.tight_at),
         [nodes[:, s] for s in bench.slices],
     )
 

@@ -14,11 +14,11 @@ from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import end_to_end, mesh_arrays
 from wrod.rods.material import RodMaterial
 from wrod.rods.state import RodState
-from wrod.solvers import streams
 from wrod.solvers.compiling import compile_steps
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.prescribed import carry_edges
+from wrod.solvers.readback import read
 from wrod.solvers.rod_contact import RodContact
 
 # Hands move smoothly; between these times straight [s].
@@ -145,21 +145,21 @@ class Hands:
         """(scene, hand, 3) where what hands hold is at the key that each scene has reached [m], and
         (scene,) whether it waits there to go on."""
         reached, waits = self._waiting()
-        places = streams.read(self.position)[np.arange(len(reached)), :, reached]
+        places = read(self.position)[np.arange(len(reached)), :, reached]
         return places, waits
 
     def _waiting(self) -> tuple[np.ndarray, np.ndarray]:
         """(scene,) the key that each has reached, and whether it waits there: scenes that diverged
         come to no other, and those that have ended wait for none."""
-        reached = streams.read(self.course.reached)
-        return reached, (reached == self._key) & (streams.read(self.course.last) == self._key)
+        reached = read(self.course.reached)
+        return reached, (reached == self._key) & (read(self.course.last) == self._key)
 
     def send(self, key: int, now: np.ndarray) -> np.ndarray:
         """Let scenes that wait go on to a key; (scene,) times of their next ones, or now [s]."""
         _, waits = self._waiting()
-        last = streams.read(self.course.last)
+        last = read(self.course.last)
         self.course.last.assign(np.where(waits, key, last))
-        following, self._key = streams.read(self.course.times)[self._key + 1], key
+        following, self._key = read(self.course.times)[self._key + 1], key
         return np.where(waits, following, now)
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
@@ -266,7 +266,7 @@ class Workbench:
 
     def load(self) -> np.ndarray:
         """(scene, hand) force with which each hand held its rod at the last key [N]."""
-        return streams.read(self.held.felt)
+        return read(self.held.felt)
 
     def run(self, until: float, poses: Callable[[float], Sequence[Poses]]) -> None:
         """Let time pass, the hands moving as `poses(time)` says; every scene at its own pace."""
@@ -296,10 +296,10 @@ class Workbench:
             if self._feel is not None:
                 self._feel()
 
-        until = held.send(key, streams.read(dynamics.time))
+        until = held.send(key, read(dynamics.time))
         progress = dynamics.advance(until, self.step, then=arrive)
         self.diverged, self.steps = progress.diverged, progress.steps
-        self.time = float(streams.read(held.course.times)[key])
+        self.time = float(read(held.course.times)[key])
 
 
 def keys_until(now: float, until: float) -> list[float]:

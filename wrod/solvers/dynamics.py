@@ -10,7 +10,6 @@ from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.stepping import pace
 from wrod.rods.batch import RodBatch
-from wrod.solvers import streams
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.condensed import paired_system
@@ -18,6 +17,7 @@ from wrod.solvers.contact import Contact
 from wrod.solvers.inelastic import InternalVariables
 from wrod.solvers.inertia import edge_masses, lumped_masses, rounding_of, usual_force
 from wrod.solvers.newton_steps import Follower, NewtonSteps
+from wrod.solvers.readback import read
 from wrod.solvers.recording import launching, record
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.steps import SCHEMES, Motion
@@ -260,7 +260,7 @@ class Dynamics(NewtonSteps):
         taken = 0
         if graph is None:
             self._ask(_ROUNDS)
-        going = graph is not None or streams.read(self._going)[1] != 0
+        going = graph is not None or read(self._going)[1] != 0
         while going:
             # Launches are replayed faster than they can be made, but recording costs as much as
             # taking them; the first round has compiled the kernels.
@@ -273,16 +273,16 @@ class Dynamics(NewtonSteps):
             else:
                 wp.capture_launch(graph)
             taken += 1
-            going = streams.read(self._going)[1] != 0
+            going = read(self._going)[1] != 0
             if progress is not None and (graph is not None or taken % _ROUNDS == 0):
-                progress(streams.read(self.time))
+                progress(read(self.time))
         if self.rod_contact is not None:
             self.rod_contact.check_capacity()
         return Progress(
-            streams.read(self.time),
-            streams.read(self.diverged) != 0,
-            streams.read(self.step_count),
-            streams.read(self.iteration_count),
+            read(self.time),
+            read(self.diverged) != 0,
+            read(self.step_count),
+            read(self.iteration_count),
         )
 
     @launching()

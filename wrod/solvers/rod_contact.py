@@ -14,8 +14,8 @@ from wrod.kernels.contact import pairs as contact_pairs
 from wrod.kernels.contact import rods as kernels
 from wrod.kernels.contact.segments import AT_END, AT_START, EDGE, SPLINE
 from wrod.rods.batch import RodBatch
-from wrod.solvers import streams
 from wrod.solvers.friction import Friction, contact_damping
+from wrod.solvers.readback import read
 
 # Pairs nearer along the rod than this many radii do not touch: half a turn of the tightest bend.
 _SKIP = float(np.pi)
@@ -327,7 +327,7 @@ class RodContact:
 
     def check_capacity(self) -> None:
         """Raise RodError if some edge was near to more edges than there is room for."""
-        full = np.flatnonzero(streams.read(self.overflow))
+        full = np.flatnonzero(read(self.overflow))
         if full.size:
             raise RodError(
                 f"the rods of row {full[0]} touch in more places than there is room for; "
