@@ -16,6 +16,9 @@ from wrod.solvers.dynamics import Dynamics
 # down, which loads it with about 2 w L_gb at a point, that makes some 1 % of the radius.
 _SINKING = 1.0 / 600.0
 _SINKING_AT_POSTS = _SINKING / 10.0
+# Newton's iterations of a step. Those that converge take four; where nodes come to stick, slide or
+# touch in turn more do not help, and half the step does.
+_ITERATIONS = 6
 
 
 def assemble(
@@ -62,6 +65,7 @@ def assemble(
         ),
         force_scale=load,
         tolerance=tolerance,
+        max_iterations=_ITERATIONS,
         keeps_recording=keeps_recording,
     )
     return batch, contact, dynamics

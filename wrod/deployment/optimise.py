@@ -19,8 +19,8 @@ from wrod.deployment.corrections import Corrections
 from wrod.deployment.expectation import (
     COARSE,
     COARSE_EDGE,
-    FINE,
-    FINE_EDGE,
+    JUDGING,
+    JUDGING_EDGE,
     TOLERANCE,
     Unseen,
     balanced,
@@ -56,6 +56,8 @@ _LONGER, _KEPT_PROMISE = 2.0, 0.5
 _STEPS, _MORE, _SAVED, _NEAR = 2, 6, 0.2, 0.1
 # Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
 _TOLERANCE = 5e-3
+# Numbers of nodes are multiples of this, so that a GPU lays many plans in few batches.
+_ALIKE = 16
 # Ranges of friction that call for more rods, by the largest over the least.
 _WIDE = 1.5
 # By which the sample has to lie better that nobody doubts it [m].
@@ -298,7 +300,8 @@ class _Problem:
         task, corrections = self.task, self.corrections
         unseen = Unseen.of(task.pattern, task.rod, self.spread)
         each = [self._sample(x).trials + unseen.laid_by(corrections.apply(x)) for x in points]
-        how = edged(FINE, FINE_EDGE * corrections.lgb) | {"speed": task.pace}
+        more = {"tolerance": _TOLERANCE, "speed": task.pace}
+        how = edged(JUDGING, JUDGING_EDGE * corrections.lgb) | more
         laid = yield self._meshed([trial for one in each for trial in one], None, how)
         out = []
         for x in points:
@@ -314,8 +317,10 @@ class _Problem:
         return out
 
     def _meshed(self, trials: list[Trial], directions, how: dict[str, Any]) -> Asked:
-        own = {"node_count": nodes_needed(trials, how["spacing"])} if self.alone else {}
-        return Asked(trials, directions, how | own)
+        if not self.alone:
+            return Asked(trials, directions, how)
+        count = -(-nodes_needed(trials, how["spacing"]) // _ALIKE) * _ALIKE
+        return Asked(trials, directions, how | {"node_count": count})
 
     def _sample(self, values: np.ndarray) -> Asked:
         return sample_of(self.task, self.corrections, self.spread, values, self.samples)
