@@ -202,11 +202,10 @@ EVERY = (*STATE, *PROPERTIES, *SINGLE)
 def compare(scene, names, size=1e-4, **options):
     found = scene.gradients(**options)
     rounding = 4.0 * np.finfo(float).eps * abs(scene.run(**options)[0])
-    rng = np.random.default_rng(1)
     for name in names:
         if name not in found:
             continue
-        shape = found[name].shape
+        rng, shape = np.random.default_rng(list(name.encode())), found[name].shape
         way, step = rng.normal(size=shape), size
         if name in SINGLE:
             way = rng.integers(-2, 3, size=shape).astype(float)
@@ -214,7 +213,7 @@ def compare(scene, names, size=1e-4, **options):
             step = {"gravity": 2.0**-7, "poses": 2.0**-16, "friction": 2.0**-10}[name]
         if name == "poses":
             way[: options.get("warm", 0)] = 0.0
-            step *= 2.0**-5 if scene.ground else 1.0
+            step *= 2.0**-6 if scene.ground else 1.0
         elif name == "gravity" and scene.ground:  # more of it lets nodes slide that stick
             step *= 2.0**-4
         elif name in PROPERTIES and "natural" not in name:
@@ -235,6 +234,9 @@ def compare(scene, names, size=1e-4, **options):
         ({}, 2),
         ({"scheme": "euler", "internal": 0.0}, STEPS + 1),
         ({"max_step": 0.004}, 1),
+        ({"scheme": "midpoint"}, 2),
+        ({"scheme": "midpoint", "max_step": 0.004, "attached": True}, STEPS + 1),
+        ({"scheme": "midpoint", "inertia": "consistent", "ends": ("pinned", "clamped")}, 1),
         ({"inertia": "consistent", "ends": ("pinned", "clamped")}, 2),
         ({"rod_contact": 0.3, "ends": ("free", "free"), "attached": True, "max_step": 0.006}, 2),
     ],
@@ -243,7 +245,9 @@ def test_gradients_against_differences(options, states):
     """Of a loss on all that the last state holds, by all that the first held, by every property,
     gravity of each world and every pose of the hand, within 1e-6; with states that alternate, one
     that is its own successor (and substeps), and one for each step; with rods that share a row."""
-    compare(Scene(states=states, **options), EVERY)
+    # Nothing damps what the midpoint rule lets ring: the loss is less smooth by what is stiff.
+    size = 3e-5 if options.get("scheme") == "midpoint" else 5e-5
+    compare(Scene(states=states, **options), EVERY, size=size)
 
 
 def test_motion_that_goes_on_from_before_the_tape():
@@ -293,7 +297,7 @@ def test_what_has_no_gradients_has_none():
     builder = make()
     cable(builder)
     model = taped_step(builder)
-    for name in ("edge_rest_length", "node_softening", "rod_radius"):
+    for name in ("node_softening", "node_inelastic"):
         assert getattr(model.der, name).grad is None
     assert all(getattr(model.der, name).grad is not None for name in PROPERTIES)
 
@@ -307,8 +311,6 @@ def test_what_has_no_gradients_is_refused():
         taped_step(builder, count=20)
     builder = make()
     cable(builder)
-    with pytest.raises(RodError, match="midpoint"):
-        taped_step(builder, scheme="midpoint")
     model = builder.finalize(device=DEVICE, requires_grad=True)
     solver, state = SolverDER(model, scheme="midpoint"), model.state(requires_grad=False)
     solver.step(state, state, None, None, 0.01)

@@ -223,6 +223,8 @@ def move_differentiable(
     for value, shape in shapes:
         if tuple(value.shape) != shape or value.dtype != torch.float64:
             raise RodError(f"a tensor is {tuple(value.shape)}; give {shape} in float64")
+    if scheme == "midpoint":  # which wants the path in the middle of each step, too
+        raise RodError("gradients of motion along a path know no scheme 'midpoint'; use bdf2")
     options = dict(scheme=scheme, radius=radius, air_damping=air_damping, tolerance=_TOLERANCE,
                    refuses_saddles=False)  # fmt: skip
     scene = Scene(batch, columns, step, steps, options)

@@ -19,6 +19,7 @@ from wrod.kernels.contact.planes import (
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import solved
+from wrod.kernels.stepping.model_adjoint import WantedModel
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
 wp.set_module_options({"enable_backward": False})
@@ -28,9 +29,9 @@ wp.set_module_options({"enable_backward": False})
 class Pressed:
     """A node on a plane: stiffness of its bristle against stretching (a matrix), derivative of the
     pull by the normal force and by the coefficient, and by how much it slides (none of these where
-    it sticks), the normal force and its
-    derivatives by the depth at the end of the step, by where the node was at its start, against the
-    normal, and by the relaxation time."""
+    it sticks), the normal force and its derivatives by where the node is at the end of the step and
+    was at its start, against the normal, by the relaxation time, and by the logarithm of the
+    radius, which is in the depth and in the skin."""
 
     tangential: wp.mat33d
     by_force: wp.vec3d
@@ -40,6 +41,7 @@ class Pressed:
     slope: wp.float64
     remembered: wp.float64
     by_relaxation: wp.float64
+    by_radius: wp.float64
 
 
 @wp.func
@@ -61,6 +63,11 @@ def pressed(m: Touchable, step: OneStep, c: Touch, r: int, k: int, i: int) -> Pr
     out.by_relaxation = law[1] / (ONE + lag) * wp.min(c.closing, c.depth) / dt
     if c.closing < c.depth:
         out.remembered = law[1] * lag / (ONE + lag)
+    skin = m.skin[r, i]
+    thick = HALF * m.stiffness[r, i] * skin
+    if c.depth + lag * wp.min(c.closing, c.depth) < skin:
+        thick = wp.float64(law[0])
+    out.by_radius = m.radius[r, i] * (law[1] - out.remembered) - thick
     return out
 
 
@@ -133,12 +140,13 @@ def want_friction(
     # State in and out:
     before: Wanted,
     by_coefficient: wp.array2d(dtype=wp.float64),
-    by_mass: wp.array2d(dtype=wp.float64),
+    by: WantedModel,
     by_piece: wp.array2d(dtype=wp.float64),
 ):
     """What is wanted of bristles and nodes at the step's start, of the coefficients (rod, shape),
-    and of masses: contact damps by sqrt(mass / stiffness), and its stiffness goes by
-    `stiffness_share` (rod, node) with the mass of a piece of the row. Launched over (rod, node)."""
+    of masses, lengths and radii: contact damps by sqrt(mass / stiffness), and its stiffness goes
+    with the length of a node's cell and by `stiffness_share` (rod, node), if there is one, with the
+    mass of a piece of the row and against the radius. Launched over (rod, node)."""
     r, i = wp.tid()
     if step.active[r] == 0:
         return
@@ -147,6 +155,7 @@ def want_friction(
     stiffness = model.stiffness[r, i]
     by_stiffness = wp.float64(0.0)
     by_relaxation = wp.float64(0.0)
+    by_radius = wp.float64(0.0)
     for k in range(model.shapes.shape[1]):
         c = touch(model, step.dof, step.dof_before, step.bristle[r, k, i], r, k, i)
         bristle = wp.vec3d(ZERO, ZERO, ZERO)
@@ -160,6 +169,7 @@ def want_friction(
             wp.atomic_add(by_coefficient, r, k, wp.dot(p.by_coefficient, pull))
             by_stiffness += p.force * force / stiffness
             by_relaxation += p.by_relaxation * force
+            by_radius += p.by_radius * force
             if p.slides > ZERO:
                 # What slides pulls alike, however stiff its bristle is, which then is shorter.
                 by_stiffness -= p.force * wp.dot(p.by_force, after) / stiffness
@@ -170,6 +180,14 @@ def want_friction(
         before.dof[r, 4 * i + a] = before.dof[r, 4 * i + a] + wanted[a]
     if node_mass[r, i] > ZERO:
         damped = HALF * model.relaxation[r, i] * by_relaxation
-        by_mass[r, i] = by_mass[r, i] + damped / node_mass[r, i]
+        by.node_mass[r, i] = by.node_mass[r, i] + damped / node_mass[r, i]
         by_stiffness -= damped / stiffness
         wp.atomic_add(by_piece, r, piece[i], stiffness_share[r, i] * by_stiffness)
+        if stiffness_share[r, i] > ZERO:
+            by_radius -= stiffness * by_stiffness
+        by.radius[r, i] = by.radius[r, i] + by_radius
+        cell = wp.float64(0.0)
+        for n in range(wp.max(i - 1, 0), wp.min(i + 1, model.rest_length.shape[1])):
+            cell += model.rest_length[r, n]
+        for n in range(wp.max(i - 1, 0), wp.min(i + 1, model.rest_length.shape[1])):
+            wp.atomic_add(by.rest_length, r, n, by_stiffness * stiffness / cell)

@@ -12,7 +12,7 @@ from wrod.kernels.stepping.bodies import Hold, turn_to
 from wrod.kernels.stepping.carrying import as_pose
 from wrod.kernels.stepping.exchange import Place, capsule_turn
 from wrod.kernels.stepping.model_adjoint import WantedModel
-from wrod.kernels.stepping.trace import Kept, OneStep, Wanted
+from wrod.kernels.stepping.trace import OneStep, Wanted
 
 wp.set_module_options({"enable_backward": False})
 
@@ -31,8 +31,9 @@ def want_written(
     place: wp.array2d(dtype=Place),
     capsule: wp.array2d(dtype=wp.int32),
     # State in:
-    kept: Kept,
     count: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    director: wp.array2d(dtype=wp.vec3d),
     by_node_q: wp.array(dtype=wp.vec3d),
     by_node_qd: wp.array(dtype=wp.vec3d),
     by_director: wp.array(dtype=wp.vec3d),
@@ -44,21 +45,18 @@ def want_written(
     """Of `write_state` and `place_capsules`, whose poses were overwritten. Launched over
     (row, node)."""
     r, b = wp.tid()
-    k = count[r] - 1
     p = place[r, b]
-    if k < 0 or p.ghost != 0:
+    if count[r] == 0 or p.ghost != 0:
         return
     for c in range(3):
         wp.atomic_add(now.dof, r, 4 * b + c, by_node_q[p.node][c])
         now.velocity[r, 4 * b + c] = now.velocity[r, 4 * b + c] + by_node_qd[p.node][c]
     if p.owns == 0:
         return
-    e = wp.vec3d()
-    for c in range(3):
-        e[c] = kept.dof[k, r, 4 * b + 4 + c] - kept.dof[k, r, 4 * b + c]
+    e = edge(dof, r, b)
     length = wp.length(e)
     t = e / length
-    m = rotate(kept.director[k, r, b], t, kept.dof[k, r, 4 * b + 3])
+    m = rotate(director[r, b], t, dof[r, 4 * b + 3])
     g = by_director[p.edge]
     turn = wp.dot(g, wp.cross(t, m))
     along = -(wp.dot(g, t) / length) * m
@@ -118,6 +116,7 @@ def turned_on(v: wp.vec3d, angle_of: wp.vec3d) -> wp.vec3d:
 def want_poses(
     # Model:
     hold: wp.array2d(dtype=Hold),
+    place: wp.array2d(dtype=Place),
     duration: wp.float64,
     # State in:
     step: OneStep,
@@ -127,6 +126,7 @@ def want_poses(
     held: wp.array2d(dtype=wp.float64),
     # State in and out:
     anchor: wp.array2d(dtype=wp.float64),
+    by_rest_length: wp.array2d(dtype=wp.float64),
     by_body_q: wp.array2d(dtype=wp.float32),
 ):
     """Of `carry_held`: of what is held at the end of a row's step, to its body's pose and, if that
@@ -150,6 +150,8 @@ def want_poses(
         force = force + other
         t = step.tangent[r, h.edge]
         torque = held[r, 4 * h.edge + 3] * t + h.reach * wp.cross(t, other)
+        ghost = wp.float64(place[r, h.other].ghost)  # which lies a rest length away
+        wp.atomic_add(by_rest_length, r, h.edge, ghost * wp.dot(other, t))
         if changed[r] == 0 and left > ZERO:
             before = rotation_before[r, k]
             way = turn_to(before, turn)
@@ -240,6 +242,7 @@ def want_ghosts_read(
     step: OneStep,
     # State in and out:
     now: Wanted,
+    by_rest_length: wp.array2d(dtype=wp.float64),
 ):
     """Of `read_state`: nodes in clamps lie where the rods' end edges aim. Launched over
     (row, node)."""
@@ -252,8 +255,10 @@ def want_ghosts_read(
     e = edge(step.dof_before, r, first)
     length = wp.length(e)
     t = e / length
-    rest = rest_length[r, wp.where(p.ghost < 0, b, b - 1)]
+    behind = wp.where(p.ghost < 0, b, b - 1)
+    rest = rest_length[r, behind]
     wanted = node(now.dof, r, b)
+    wp.atomic_add(by_rest_length, r, behind, wp.float64(p.ghost) * wp.dot(wanted, t))
     v = (wp.float64(p.ghost) * rest / length) * (wanted - wp.dot(wanted, t) * t)
     want_edge(now.dof, r, first, v)
     for c in range(3):
@@ -340,17 +345,25 @@ def want_friction(
 
 
 @wp.kernel
-def want_damping(
+def want_of_rods(
     # Model:
     rod: wp.array2d(dtype=wp.int32),
+    edge: wp.array2d(dtype=wp.int32),
+    radius: wp.array(dtype=wp.float64),
     # State in:
     model: WantedModel,
     # State in and out:
     by_internal_damping: wp.array(dtype=wp.float64),
     by_air_damping: wp.array(dtype=wp.float64),
+    by_radius: wp.array(dtype=wp.float64),
+    by_rest_length: wp.array(dtype=wp.float64),
 ):
-    """Of nodes' viscous times and air damping, to those of their rod. Launched over (row, node)."""
+    """Of nodes' viscous times, air damping and radii, to those of their rod, and of rest lengths
+    (none for "consistent" inertia) to those of `edge` (row, edge). Launched over (row, node)."""
     r, b = wp.tid()
+    wp.atomic_add(by_radius, rod[r, b], model.radius[r, b] / radius[rod[r, b]])
+    if b < edge.shape[1] and by_rest_length.shape[0] > 0:
+        wp.atomic_add(by_rest_length, edge[r, b], model.rest_length[r, b])
     t = model.viscous_time[r, b]
     wp.atomic_add(by_internal_damping, rod[r, b], t[0] + t[1] + t[2] + t[3])
     wp.atomic_add(by_air_damping, rod[r, b], model.air[r, b])

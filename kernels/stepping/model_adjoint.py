@@ -12,7 +12,7 @@ from wrod.kernels.elastic.curvature import (
     invariant_gradient,
     stencil,
 )
-from wrod.kernels.elastic.frames import HALF, ONE, ZERO, edge, node
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node
 from wrod.kernels.elastic.softened_bending import softening_law
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import solved
@@ -40,9 +40,12 @@ class Elastic:
 
 @wp.struct
 class WantedModel:
-    """Derivatives of a loss by properties of rods; `viscous_time` without columns where nothing is
+    """Derivatives of a loss by properties of rods; that by the radius is by its logarithm, of what
+    each node and the edge after it have of it; `viscous_time` without columns where nothing is
     viscous."""
 
+    rest_length: wp.array2d(dtype=wp.float64)
+    radius: wp.array2d(dtype=wp.float64)
     stretching: wp.array2d(dtype=wp.float64)
     bending: wp.array2d(dtype=wp.vec2d)
     natural_curvature: wp.array2d(dtype=wp.vec2d)
@@ -97,11 +100,14 @@ def want_stretching(
         flow = difference(c, step.span[r], length, history[0], history[1])
         stretch += eta * flow
         wanted = -stretched * rod.stretching[r, i] * eta
+        length += rod.viscous_time[r, i][3] * flow
         times = model.viscous_time[r, i]
         times[3] = times[3] - stretched * rod.stretching[r, i] * flow / rest
         model.viscous_time[r, i] = times
         remember(step, before, older, r, i, 3, wanted)
     model.stretching[r, i] = model.stretching[r, i] - stretched * stretch
+    by_rest = stretched * rod.stretching[r, i] * length / (rest * rest)
+    wp.atomic_add(model.rest_length, r, i, by_rest)
 
 
 @wp.kernel
@@ -176,6 +182,11 @@ def want_bending(
     model.bending[r, i] = wanted
     model.natural_curvature[r, i] = curvature
     c = rod.twisting[r, i]
+    # Moments are of strains over the length of the node's cell.
+    by_length = wp.dot(by_excess, wp.vec2d(now[0], now[1])) + twisted * c * now[2]
+    by_length = (by_length + mean * invariant) / (length * length)
+    wp.atomic_add(model.rest_length, r, i - 1, HALF * by_length)
+    wp.atomic_add(model.rest_length, r, i, HALF * by_length)
     over = now[2] / length - rod.natural_twist[r, i]
     model.twisting[r, i] = model.twisting[r, i] - twisted * over
     model.natural_twist[r, i] = model.natural_twist[r, i] + twisted * c
@@ -201,6 +212,7 @@ def want_masses(
     node_mass: wp.array2d(dtype=wp.float64),
     load_factor: wp.array(dtype=wp.float64),
     gravity: wp.array(dtype=wp.vec3d),
+    rest_length: wp.array2d(dtype=wp.float64),
     spin_share: wp.array2d(dtype=wp.float64),
     piece: wp.array(dtype=wp.int32),
     # State in:
@@ -213,7 +225,7 @@ def want_masses(
     """Of gravity, of air damping, of which spinning edges know that of node `stillest` (rod,), and
     of the nodes' masses, but for their part of the edges' inertia: that is collected in `spins`
     (rod, piece). `spin_share` (rod, edge) is an edge's inertia per mass of its piece of the row.
-    Launched over (rod, node)."""
+    And of lengths and radii by that inertia, at a given density. Launched over (rod, node)."""
     r, i = wp.tid()
     if step.active[r] == 0:
         return
@@ -234,18 +246,28 @@ def want_masses(
         inertia = x[r, 0, k][0] * (faster + air_damping[r] * spin)
         wp.atomic_sub(model.air, r, stillest[r], mass[r, k] * x[r, 0, k][0] * spin)
         wp.atomic_sub(spins, r, piece[i], spin_share[r, i] * inertia)
+        # It goes with the length, and with the square of the radius.
+        wp.atomic_sub(model.rest_length, r, i, mass[r, k] * inertia / rest_length[r, i])
+        model.radius[r, i] = model.radius[r, i] - TWO * mass[r, k] * inertia
 
 
 @wp.kernel
 def share_spins(
+    # Model:
+    density: wp.array2d(dtype=wp.float64),
     # In:
     piece: wp.array(dtype=wp.int32),
     spins: wp.array2d(dtype=wp.float64),
     # In and out:
-    node_mass: wp.array2d(dtype=wp.float64),
+    model: WantedModel,
 ):
+    """What is wanted of the masses of the row's pieces, over their lengths: of nodes, and of those
+    edges (`density` is mass over length, 0 where there is no rod). Launched over (rod, node)."""
     r, i = wp.tid()
-    node_mass[r, i] = node_mass[r, i] + spins[r, piece[i]]
+    wanted = spins[r, piece[i]]
+    model.node_mass[r, i] = model.node_mass[r, i] + wanted
+    if i < density.shape[1]:
+        model.rest_length[r, i] = model.rest_length[r, i] - density[r, i] * wanted
 
 
 @wp.kernel

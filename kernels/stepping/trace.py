@@ -12,13 +12,15 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Kept:
-    """Steps of rods, (step, rod, ...): `left` is the time from the end of a step to `until`,
-    configurations are those at its end, at its start (`before`) and a step earlier (`older`),
-    velocities and strains of the last two; strains are there if the material is viscous, what
-    friction remembers at the start (shape, node) if something can be touched."""
+    """Steps of rods, (step, rod, ...): `span` and `whole` are the times to where forces are taken
+    and to the end of a step, `left` is that from there to `until`; configurations are those where
+    forces are taken, at the start (`before`) and a step earlier (`older`), velocities and strains
+    of the last two; strains are there if the material is viscous, what friction remembers at the
+    start (shape, node) if something can be touched."""
 
     coefficient: wp.array2d(dtype=wp.vec3d)
     span: wp.array2d(dtype=wp.float64)
+    whole: wp.array2d(dtype=wp.float64)
     left: wp.array2d(dtype=wp.float64)
     dof: wp.array3d(dtype=wp.float64)
     tangent: wp.array3d(dtype=wp.vec3d)
@@ -38,11 +40,13 @@ class Kept:
 
 @wp.struct
 class OneStep:
-    """One step of every rod, (rod, ...), as in `Kept`; `active` of those that took it."""
+    """One step of every rod, (rod, ...), as in `Kept`, but `left` from where forces are taken;
+    `active` of those that took it."""
 
     active: wp.array(dtype=wp.int32)
     coefficient: wp.array(dtype=wp.vec3d)
     span: wp.array(dtype=wp.float64)
+    whole: wp.array(dtype=wp.float64)
     left: wp.array(dtype=wp.float64)
     dof: wp.array2d(dtype=wp.float64)
     tangent: wp.array2d(dtype=wp.vec3d)
@@ -77,6 +81,7 @@ def keep_step(
     if a == 0:
         kept.coefficient[k, r] = pace.coefficient[r]
         kept.span[k, r] = pace.span[r]
+        kept.whole[k, r] = pace.step[r]
         kept.left[k, r] = pace.until[r] - pace.time[r]
     kept.dof[k, r, a] = now.dof[r, a]
     kept.dof_before[k, r, a] = now.dof_before[r, a]
@@ -130,7 +135,8 @@ def recall_step(
     if a == 0:
         step.coefficient[r] = kept.coefficient[k, r]
         step.span[r] = kept.span[k, r]
-        step.left[r] = kept.left[k, r]
+        step.whole[r] = kept.whole[k, r]
+        step.left[r] = kept.left[k, r] + (kept.whole[k, r] - kept.span[k, r])
     step.dof[r, a] = kept.dof[k, r, a]
     step.dof_before[r, a] = kept.dof_before[k, r, a]
     step.dof_older[r, a] = kept.dof_older[k, r, a]

@@ -20,12 +20,15 @@ from wrod.rods.discretisation import of_free_part
 from wrod.solvers.adjoint import StepAdjoint, require_differentiable
 from wrod.solvers.trace import Record, Trace
 
-# Properties with a gradient: in the order in which `want_properties` takes them, and others.
+# Properties with a gradient: in the orders in which `want_properties` and `want_of_rods` take them.
 _OF_NODES = (
     "edge_stretching_stiffness", "node_bending_stiffness", "node_twisting_stiffness",
     "node_natural_curvature", "node_natural_twist", "node_mass",
 )  # fmt: skip
-PROPERTIES = (*_OF_NODES, "rod_internal_damping", "rod_air_damping")
+_OF_RODS = ("rod_internal_damping", "rod_air_damping", "rod_radius", "edge_rest_length")
+PROPERTIES = (*_OF_NODES, *_OF_RODS)
+# Mass that is spread along edges goes with the masses of nodes and the lengths of edges at once.
+_OF_LUMPS = {"node_mass", "edge_rest_length"}
 _STATE = ("node_q", "node_qd", "edge_director", "edge_spin")
 # Steps of a rod that are kept beside those that it should take: where some have to be cut.
 _SPARE = 6
@@ -34,7 +37,7 @@ _SPARE = 6
 def leave_gradients(model: newton.Model, consistent: bool) -> None:
     """Take the gradients of properties away that a tape gives none for."""
     der = model.der
-    kept = {*PROPERTIES, *_STATE} - ({"node_mass"} if consistent else set())
+    kept = {*PROPERTIES, *_STATE} - (_OF_LUMPS if consistent else set())
     for name, value in vars(der).items():
         if isinstance(value, wp.array) and name not in kept:
             value.requires_grad = False
@@ -173,6 +176,7 @@ class GroupGradients:
             worlds = np.where(group.worlds < 0, len(group.model.gravity) - 1, group.worlds)
             worlds = np.minimum(worlds, len(group.model.gravity) - 1)
             self._rod = wp.array(layout.rod, dtype=wp.int32, device=device)
+            self._edge = wp.array(layout.edges, dtype=wp.int32, device=device)
             self._shapes = None
             if touched is not None:
                 self._shapes = wp.array(touched.indices(), dtype=wp.int32, device=device)
@@ -197,7 +201,7 @@ class GroupGradients:
         group.batch.launch(
             kernels.want_written,
             group.place.shape,
-            [group.place, capsules, record.steps, record.count, *ends.gradients()],
+            [group.place, capsules, record.count, *record.end, *ends.gradients()],
             [_numbers(by_poses, 7, group.device), adjoint.now],
         )
 
@@ -209,13 +213,13 @@ class GroupGradients:
         if by_poses.shape[0] == 0 and (hold.numpy()["body"] >= 0).any():
             raise RodError("the bodies that hold rods have no gradients: body_q requires none")
 
-        def held(adjoint: StepAdjoint) -> None:
+        def held(step: Any) -> None:
             group.batch.launch(
                 kernels.want_poses,
                 hold.shape,
-                [hold, wp.float64(taken.duration), adjoint.step, taken.changed, taken.poses]
+                [hold, group.place, wp.float64(taken.duration), step, taken.changed, taken.poses]
                 + [taken.rotation, adjoint.held],
-                [self._anchor, by_poses],
+                [self._anchor, adjoint.model.rest_length, by_poses],
             )
 
         adjoint.go_back(taken.record, held)
@@ -234,18 +238,24 @@ class GroupGradients:
             kernels.want_ghosts_read,
             shape,
             [group.place, batch.rest_length, taken.changed, step],
-            [now],
+            [now, adjoint.model.rest_length],
         )
         batch.launch(kernels.want_nodes_read, shape, [group.place], [now, by_q, by_qd])
         if taken.previous is not None:
             taken.previous.wanted = _copies(now), _copies(adjoint.before)
         self._want_properties(adjoint)
 
+    def _gradient(self, name: str) -> wp.array:
+        """Of a property; without numbers if it has none."""
+        none = wp.zeros(0, dtype=wp.float64, device=self.group.device)
+        grad = getattr(self.group.model.der, name).grad
+        return none if grad is None else grad
+
     def _want_properties(self, adjoint: StepAdjoint) -> None:
         group, model = self.group, self.group.model
-        outputs = [getattr(model.der, name).grad for name in _OF_NODES]
-        if outputs[-1] is None:
-            outputs[-1] = wp.zeros(0, dtype=wp.float64, device=group.device)
+        outputs, of_rods = (
+            [self._gradient(name) for name in names] for names in (_OF_NODES, _OF_RODS)
+        )
         group.batch.launch(
             kernels.want_properties,
             group.place.shape,
@@ -253,10 +263,10 @@ class GroupGradients:
             [*outputs, _numbers(model.gravity.grad, 3, group.device)],
         )
         group.batch.launch(
-            kernels.want_damping,
+            kernels.want_of_rods,
             self._rod.shape,
-            [self._rod, adjoint.model],
-            [model.der.rod_internal_damping.grad, model.der.rod_air_damping.grad],
+            [self._rod, self._edge, model.der.rod_radius, adjoint.model],
+            of_rods,
         )
         if self._shapes is not None:
             group.batch.launch(

@@ -69,6 +69,14 @@ class Layout:
         self.rod, self.ghost = table[..., 5], table[..., 4] != 0
         self.node_count = table.shape[1]
 
+    @property
+    def edges(self) -> np.ndarray:
+        """(row, edge) whose properties an edge has: a cut those of the edge before."""
+        out = self.places["edge"][:, :-1].copy()
+        for cut in self.cuts:
+            out[:, cut] = out[:, cut - 1]
+        return out
+
     def capsules(self) -> np.ndarray:
         """(row, node - 1) body that shows each edge, or -1."""
         der = self.model.der
@@ -143,11 +151,7 @@ class Layout:
     def make_batch(self, gravity: np.ndarray) -> RodBatch:
         """The rods in their first shapes under `gravity` (row, 3), with what is held not free."""
         der = self.model.der
-        n = self.places["node"]
-        # What is cut takes the properties of the edge before.
-        edges = self.places["edge"][:, :-1].copy()
-        for cut in self.cuts:
-            edges[:, cut] = edges[:, cut - 1]
+        n, edges = self.places["node"], self.edges
         position = der.node_q.numpy()[n]
         rest = der.edge_rest_length.numpy()[edges]
         for row, i in zip(*np.nonzero(self.ghost), strict=True):

@@ -62,8 +62,8 @@ class SolverDER(RodBuilding, SolverBase):
     Of a model that was finalized with `requires_grad=True`, steps on a `wp.Tape` have gradients, by
     the adjoint of the steps as they are taken: by `state.der`, `body_q` of kinematic bodies that
     hold rods, `gravity`, `shape_material_mu`, and `model.der`'s stretching, bending and twisting
-    stiffness, natural curvature and twist, internal and air damping, and node masses (not for
-    "consistent" inertia). Others have no `grad`. Rods may touch planes that stand still; all else
+    stiffness, natural curvature and twist, internal and air damping, radii, and node masses and
+    rest lengths (both not for "consistent" inertia). Others have no `grad`. Rods may touch planes that stand still; all else
     is refused.
 
     Example
@@ -245,7 +245,7 @@ class SolverDER(RodBuilding, SolverBase):
 
         Raises:
             RodError: dt is not positive, a state was made from another model, or, while a tape is
-                recorded, the step has no gradients: scheme "midpoint", rods with a past, that
+                recorded, the step has no gradients: rods with a past, that
                 touch anything but planes, or that hold bodies which this solver moves.
         """
         with retold_as(RodError):

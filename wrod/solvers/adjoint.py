@@ -12,11 +12,12 @@ from wrod.kernels.contact import plane_adjoint, planes
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import adjoint as kernels
 from wrod.kernels.stepping import dynamics as inertia
-from wrod.kernels.stepping import model_adjoint
+from wrod.kernels.stepping import midpoint_adjoint, model_adjoint
 from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.trace import OneStep, Wanted, go_back, recall_step
 from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.inertia import line_density
 from wrod.solvers.steps import SCHEMES
 from wrod.solvers.trace import Record, filled, planes_of, step_arrays
 from wrod.solvers.viscosity import Viscosity
@@ -26,12 +27,9 @@ def require_differentiable(dynamics: Dynamics) -> None:
     """See that steps have an adjoint.
 
     Raises:
-        RodError: they are of the midpoint rule, rods have laws of their own or a past, or hold
-            bodies that move with them.
+        RodError: rods have laws of their own or a past, or hold bodies that move with them.
     """
     batch = dynamics.batch
-    if SCHEMES[dynamics._scheme] == "midpoint":
-        raise RodError("gradients of scheme 'midpoint' are not there; use euler or bdf2")
     if batch.energies or batch.layers or batch.inelastic is not None:
         raise RodError("gradients of motion know the linear and the softening law only")
     if dynamics.bodies is not None:
@@ -108,6 +106,12 @@ class StepAdjoint:
         arrays = step_arrays(dynamics)
         arrays["active"] = wp.zeros(rods, dtype=wp.int32, device=device)
         self.step = filled(OneStep(), arrays)
+        self._end = filled(OneStep(), arrays)
+        self._goes_halfway = SCHEMES[dynamics._scheme] == "midpoint"
+        if self._goes_halfway:
+            for name in ("active", "left", "dof", "tangent", "director"):
+                setattr(self._end, name, wp.zeros_like(arrays[name]))
+            self._turn = floats(nodes - 1)
         self._state = RodState(
             arrays["dof"], arrays["tangent"], arrays["director"], arrays["twist"]
         )
@@ -147,6 +151,7 @@ class StepAdjoint:
         rods, nodes, device = batch.rod_count, batch.node_count, batch.device
         model = self.model = model_adjoint.WantedModel()
         for name, shape, dtype in (
+            ("rest_length", (rods, nodes - 1), wp.float64), ("radius", (rods, nodes), wp.float64),
             ("stretching", (rods, nodes - 1), wp.float64), ("bending", (rods, nodes), wp.vec2d),
             ("natural_curvature", (rods, nodes), wp.vec2d),
             ("twisting", (rods, nodes), wp.float64), ("natural_twist", (rods, nodes), wp.float64),
@@ -168,6 +173,9 @@ class StepAdjoint:
         share = dynamics.mass.numpy()[:, 3::4] / np.maximum(total[:, piece[:-1]], 1e-300)
         self._piece = wp.array(piece, dtype=wp.int32, device=device)
         self._spin_share = wp.array(share, dtype=wp.float64, device=device)
+        density = line_density(batch)
+        density[:, list(batch.cut_edges)] = 0.0
+        self._density = wp.array(density, dtype=wp.float64, device=device)
         self._spins = wp.zeros(total.shape, dtype=wp.float64, device=device)
 
     def clear(self) -> None:
@@ -183,13 +191,21 @@ class StepAdjoint:
         """Go from the end of a record to its start.
 
         Args:
-            held: called after every step with the adjoint: `step` and `held` are of that step.
+            held: called with where rods are (`OneStep`), once or, where steps go on from their
+                middle, twice a step: `held` is what is wanted of what is moved there.
         """
         batch = self.batch
         shape = (batch.rod_count, batch.dof_count)
         for back in range(record.most):
             batch.launch(recall_step, shape, [record.steps, record.count, back], [self.step])
-            self._settle(self.step.active, self._state)
+            if self._goes_halfway:
+                recorded = [record.steps, record.count, back, *record.end]
+                batch.launch(midpoint_adjoint.recall_end, shape, recorded, [self._end])
+            self._settle(self.step.active, self._end)
+            if self._goes_halfway:
+                self._go_to_middle()
+                if held is not None:
+                    held(self._end)
             self._factorise()
             self._solve()
             self._spins.zero_()
@@ -197,25 +213,42 @@ class StepAdjoint:
             self._want_model(record)
             self._want_before()
             if held is not None:
-                held(self)
+                held(self.step)
             batch.launch(go_back, shape, [self.step.active], list(self._levels))
 
     def settle(self, chosen: wp.array) -> None:
         """Let what is wanted of strains at the start of the rods that are not 0 in `chosen` (rod,)
         be wanted of their configuration there; `step` must be the first of all."""
-        step = self.step
-        start = RodState(step.dof_before, step.tangent_before, step.director_before, step.twist)
+        start = OneStep()
+        start.dof, start.director = self.step.dof_before, self.step.director_before
         self._settle(chosen, start)
 
-    def _settle(self, chosen: wp.array, state: RodState) -> None:
+    def _settle(self, chosen: wp.array, at: Any) -> None:
         if self.viscosity.exists:
             batch = self.batch
             batch.launch(
                 model_adjoint.want_strained,
                 (batch.rod_count, batch.node_count),
-                [chosen, state.dof, state.director],
+                [chosen, at.dof, at.director],
                 [self.now],
             )
+
+    def _go_to_middle(self) -> None:
+        """From the ends of steps of the midpoint rule."""
+        batch, step, end = self.batch, self.step, self._end
+        ways, kinds = [self._by_end, self._by_start], [batch.free, self.moved]
+        batch.launch(
+            midpoint_adjoint.want_angles,
+            (batch.rod_count, batch.node_count - 1),
+            [*kinds, step],
+            [end, self.now, self.before, self.held, self._turn, *ways],
+        )
+        batch.launch(
+            midpoint_adjoint.want_places,
+            (batch.rod_count, batch.node_count),
+            [*kinds, step, end, self._turn, *ways],
+            [self.now, self.before, self.held],
+        )
 
     def _factorise(self) -> None:
         """A_n^T of the step, as `Dynamics` puts A_n together."""
@@ -287,7 +320,7 @@ class StepAdjoint:
                 (batch.rod_count, batch.node_count),
                 [self._planes.memory[0], self._stiffness_share, batch.node_mass, self._piece]
                 + [self.step, self.now, self._x],
-                [self.before, self.by_friction, self.model.node_mass, self._spins],
+                [self.before, self.by_friction, self.model, self._spins],
             )
 
     def _solve(self) -> None:
@@ -349,13 +382,13 @@ class StepAdjoint:
             model_adjoint.want_masses,
             (rods, nodes),
             [self._air_of_mass, self.dynamics.air_damping, self._stillest, self.dynamics.mass]
-            + [batch.node_mass, batch.load_factor, record.gravity]
+            + [batch.node_mass, batch.load_factor, record.gravity, batch.rest_length]
             + [self._spin_share, self._piece, step, self._x],
             [self._spins, self.model],
         )
         batch.launch(
             model_adjoint.share_spins,
             (rods, nodes),
-            [self._piece, self._spins],
-            [self.model.node_mass],
+            [self._density, self._piece, self._spins],
+            [self.model],
         )

@@ -24,7 +24,7 @@ def lumped_masses(batch: RodBatch, radius) -> np.ndarray:
         raise RodError("radius must be positive and finite")
     out = np.empty((batch.rod_count, batch.node_count, 4))
     out[:, :, :3] = mass[:, :, None]
-    out[:, :-1, 3] = 0.5 * radius**2 * _line_density(batch, mass, rest) * rest
+    out[:, :-1, 3] = 0.5 * radius**2 * line_density(batch) * rest
     return np.ascontiguousarray(out.reshape(batch.rod_count, -1)[:, :-1])
 
 
@@ -40,8 +40,9 @@ def edge_masses(batch: RodBatch) -> np.ndarray:
     return np.minimum(density[:, 1:], density[:, :-1]) * length
 
 
-def _line_density(batch: RodBatch, mass: np.ndarray, rest: np.ndarray) -> np.ndarray:
+def line_density(batch: RodBatch) -> np.ndarray:
     """(rod, edge) mean mass per length of the rods of each row; none of what goes on in a clamp."""
+    mass, rest = batch.node_mass.numpy(), batch.rest_length.numpy()
     out = np.zeros_like(rest)
     ends = [*batch.cut_edges, batch.node_count - 1]
     first = 0

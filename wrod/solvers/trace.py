@@ -30,7 +30,8 @@ def step_arrays(dynamics: Dynamics, steps: tuple[int, ...] = ()) -> dict[str, wp
     planes = planes_of(dynamics)
     memory = (0, 0) if planes is None else planes.memory[1].shape[1:]
     kinds: dict[str, tuple[Any, tuple[int, ...]]] = {
-        "coefficient": (wp.vec3d, ()), "span": (wp.float64, ()), "left": (wp.float64, ()),
+        "coefficient": (wp.vec3d, ()), "span": (wp.float64, ()), "whole": (wp.float64, ()),
+        "left": (wp.float64, ()),
         "twist": (wp.float64, (nodes,)), "bristle": (wp.vec3d, memory),
         "sliding": (wp.int32, memory),
     }  # fmt: skip
@@ -61,12 +62,14 @@ class Record:
         steps: `wrod.kernels.stepping.trace.Kept`.
         count: (rod,) steps of each, on the device; `most` is the largest.
         gravity: (rod,) that they were taken under.
+        end: (rod, dof) configuration, and (rod, edge) reference directors, after the last.
     """
 
     steps: Any
     count: wp.array
     most: int
     gravity: wp.array
+    end: tuple[wp.array, wp.array]
 
 
 class Trace:
@@ -155,6 +158,11 @@ class Trace:
         kept = {
             name: wp.clone(a[: max(most, 1)]) if a.size else a for name, a in self._arrays.items()
         }
+        state = self.batch.state
         return Record(
-            filled(kernels.Kept(), kept), device_count, most, wp.clone(self.batch.gravity)
+            filled(kernels.Kept(), kept),
+            device_count,
+            most,
+            wp.clone(self.batch.gravity),
+            (wp.clone(state.dof), wp.clone(state.director)),
         )

@@ -1,0 +1,154 @@
+"""The adjoint of what follows the middle of a step of the midpoint rule: see
+`wrod.kernels.stepping.adjoint`, which goes on from there.
+
+What is free goes as far again, y_(n+1) = 2 y - y_n and v_(n+1) = 4 (y - y_n) / dt - v_n with y in
+the middle; what is moved is put where it belongs. Edges do so by their angles theta = phi - psi to
+reference frames, which are carried from the step's start to its end at once:
+psi_(n+1) = psi_n + b . de_(n+1) + a . de_n.
+"""
+
+import warp as wp
+from wrod.kernels.elastic.frames import TWO, ZERO, edge
+from wrod.kernels.stepping.adjoint import holonomy, turned
+from wrod.kernels.stepping.trace import Kept, OneStep, Wanted
+
+wp.set_module_options({"enable_backward": False})
+
+FOUR = wp.constant(wp.float64(4.0))
+
+
+@wp.kernel
+def recall_end(
+    # In:
+    kept: Kept,
+    count: wp.array(dtype=wp.int32),
+    back: int,
+    last_dof: wp.array2d(dtype=wp.float64),
+    last_director: wp.array2d(dtype=wp.vec3d),
+    # Out:
+    end: OneStep,
+):
+    """Where the step that is `back` before the last of each rod ended: where the next one began.
+    `active` are those that were of the midpoint rule. Launched over (rod, dof)."""
+    r, a = wp.tid()
+    k = count[r] - 1 - back
+    if a == 0:
+        halfway = int(0)
+        if k >= 0:
+            if kept.span[k, r] < kept.whole[k, r]:
+                halfway = int(1)
+            end.left[r] = kept.left[k, r]
+        end.active[r] = halfway
+    if k < 0:
+        return
+    last = k + 1 == count[r]
+    if last:
+        end.dof[r, a] = last_dof[r, a]
+    else:
+        end.dof[r, a] = kept.dof_before[k + 1, r, a]
+    if a < end.director.shape[1]:
+        if last:
+            end.director[r, a] = last_director[r, a]
+        else:
+            end.director[r, a] = kept.director_before[k + 1, r, a]
+
+
+@wp.kernel
+def want_angles(
+    # Model:
+    free: wp.array2d(dtype=wp.int32),
+    moved: wp.array2d(dtype=wp.int32),
+    # State in:
+    step: OneStep,
+    # State in and out:
+    end: OneStep,
+    now: Wanted,
+    before: Wanted,
+    # Out:
+    held_out: wp.array2d(dtype=wp.float64),
+    turn_out: wp.array2d(dtype=wp.float64),
+    by_end_out: wp.array2d(dtype=wp.vec3d),
+    by_start_out: wp.array2d(dtype=wp.vec3d),
+):
+    """Of edges; what is wanted of psi_(n+1) is `turn`, of which `want_places` wants nodes. Launched
+    over (rod, edge)."""
+    r, i = wp.tid()
+    if end.active[r] == 0:
+        return
+    e = edge(end.dof, r, i)
+    t = wp.normalize(e)
+    end.tangent[r, i] = t
+    start = step.tangent_before[r, i]
+    by_end_out[r, i] = holonomy(start, t, wp.length(e))
+    by_start_out[r, i] = -holonomy(t, start, wp.length(edge(step.dof_before, r, i)))
+    a = 4 * i + 3
+    dt = step.whole[r]
+    wanted = wp.float64(now.dof[r, a])
+    spin = wp.float64(now.velocity[r, a])
+    turn = wp.float64(now.turn[r, i])
+    middle = wp.float64(0.0)
+    held = wp.float64(0.0)
+    less = wp.float64(0.0)  # of the angle at the start
+    if free[r, a] != 0:
+        turn += wanted
+        middle = TWO * wanted + FOUR * spin / dt
+        less = wanted + FOUR * spin / dt
+        before.velocity[r, a] = before.velocity[r, a] - spin
+    elif moved[r, a] != 0:
+        turn -= spin / dt
+        held = wanted + spin / dt
+        less = spin / dt
+    else:
+        turn += wanted
+        less = -wanted
+    now.dof[r, a] = middle
+    now.turn[r, i] = -middle
+    now.velocity[r, a] = ZERO
+    before.dof[r, a] = before.dof[r, a] - less
+    before.turn[r, i] = before.turn[r, i] + less + turn
+    held_out[r, a] = held
+    turn_out[r, i] = turn
+
+
+@wp.kernel
+def want_places(
+    # Model:
+    free: wp.array2d(dtype=wp.int32),
+    moved: wp.array2d(dtype=wp.int32),
+    # State in:
+    step: OneStep,
+    end: OneStep,
+    turn: wp.array2d(dtype=wp.float64),
+    by_end: wp.array2d(dtype=wp.vec3d),
+    by_start: wp.array2d(dtype=wp.vec3d),
+    # State in and out:
+    now: Wanted,
+    before: Wanted,
+    # Out:
+    held_out: wp.array2d(dtype=wp.float64),
+):
+    """Of nodes. Launched over (rod, node)."""
+    r, i = wp.tid()
+    if end.active[r] == 0:
+        return
+    dt = step.whole[r]
+    from_end = turned(by_end, turn, r, i)
+    from_start = turned(by_start, turn, r, i)
+    for c in range(3):
+        a = 4 * i + c
+        wanted = now.dof[r, a] + from_end[c]
+        speed = wp.float64(now.velocity[r, a])
+        middle = wp.float64(0.0)
+        held = wp.float64(0.0)
+        start = wp.float64(wanted)
+        if free[r, a] != 0:
+            middle = TWO * wanted + FOUR * speed / dt
+            start = -wanted - FOUR * speed / dt
+            before.velocity[r, a] = before.velocity[r, a] - speed
+        elif moved[r, a] != 0:
+            held = wanted + speed / dt
+            start = -speed / dt
+        now.dof[r, a] = middle
+        now.velocity[r, a] = ZERO
+        before.dof[r, a] = before.dof[r, a] + start + from_start[c]
+        held_out[r, a] = held
