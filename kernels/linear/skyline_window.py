@@ -13,6 +13,7 @@ Forward substitution goes along with the factorisation. On the way back the line
 
 import warp as wp
 from wrod.kernels.lanes import TEAM
+from wrod.kernels.linear.two_warps import RECIPROCAL
 
 wp.set_module_options({"enable_backward": False})
 
@@ -31,16 +32,19 @@ def reach_of(nodes: int) -> int:
 
 _ELIMINATE = (
     f"const int TEAM = {TEAM}, W = {ROWS}, STRIDE = {_STRIDE};\n#define WROD_AHEAD {_AHEAD}\n"
+    + RECIPROCAL
     + """
 #if defined(__CUDA_ARCH__)
 #define WROD_SHARED __shared__
 #define WROD_TEAM for (int lane = threadIdx.x, once = 1; once; once = 0)
+#define WROD_FIRST_WARP if (threadIdx.x < 32)
 #define WROD_WAIT() __syncthreads()
 #define WROD_LANE_ARRAY(type, name, size) type name[size]
 #define WROD_OWN(name, m) name[m]
 #else
 #define WROD_SHARED
 #define WROD_TEAM for (int lane = 0; lane < TEAM; ++lane)
+#define WROD_FIRST_WARP
 #define WROD_WAIT()
 #define WROD_LANE_ARRAY(type, name, size) type name[size][TEAM]
 #define WROD_OWN(name, m) name[m][lane]
@@ -66,6 +70,9 @@ _ELIMINATE = (
     WROD_SHARED double size[4 * W];
     WROD_SHARED int start_of[W];
     WROD_SHARED int row_of[W];
+    // Of the diagonal block of even and odd columns: L and D, 1 / D, and what is known of y.
+    const int PIVOTS = 24;
+    WROD_SHARED double pivots_of[2 * PIVOTS];
     // Places of the column's blocks, for even and odd columns.
     WROD_SHARED int place[2 * W];
     // What a lane brings next: a line of a row, k = lane / 4 blocks before its diagonal.
@@ -115,7 +122,8 @@ _ELIMINATE = (
         }
         if (lane < W) place[lane] = WROD_RING(lane);
         WROD_OWN(spot, 0) = WROD_RING(lane / 4);
-        int i = 0, j = lane / 4;
+        // The first warp has none.
+        int i = lane < 32 ? W : 0, j = lane < 32 ? 0 : lane / 4 - 7;
         while (j > i) j -= ++i;
         WROD_OWN(first_i, 0) = i;
         WROD_OWN(first_j, 0) = j;
@@ -148,17 +156,8 @@ _ELIMINATE = (
     coming_row = next_row;
     WROD_FETCH_PROFILE(W + 1)
     int negative = 0, end = ends[0];
-    WROD_WAIT();
-    for (int b = 0; b < n; ++b) {
-        const int below = end - b, here = b % W;
-        const int* at = place + W * (b % 2);
-        int* at_next = place + W * ((b + 1) % 2);
-        if (b + 1 < n) end = ends[b + 1];
-        // Every lane factorises the diagonal block.
-        const double* diagonal = window + STRIDE * at[0];
-        double d[4][4], inverse[4], known[4];
-        WROD_UNROLL for (int c = 0; c < 4; ++c)
-            WROD_UNROLL for (int e = 0; e <= c; ++e) d[c][e] = diagonal[4 * c + e];
+    auto factorise = [&](double (&d)[4][4], int here, double* to) {
+        double inverse[4], known[4];
         // Two pivots at a time, so that their reciprocals do not wait for each other.
         WROD_UNROLL for (int c = 0; c < 4; c += 2) {
             // One that cancels to nothing would end as infinity; keep its sign, give it a size.
@@ -170,8 +169,8 @@ _ELIMINATE = (
             const bool falls = both != 0.0 && (both < 0.0) != (pivot < 0.0);
             if (fabs(both) < second * fabs(pivot)) both = falls ? -second * pivot : second * pivot;
             negative += (pivot < 0.0) + falls;
-            inverse[c] = 1.0 / pivot;
-            inverse[c + 1] = pivot * (1.0 / both);
+            inverse[c] = reciprocal(pivot);
+            inverse[c + 1] = pivot * reciprocal(both);
             d[c + 1][c] = beside * inverse[c];
             d[c + 1][c + 1] = both * inverse[c];
             WROD_UNROLL for (int e = c + 2; e < 4; ++e) {
@@ -187,6 +186,36 @@ _ELIMINATE = (
         WROD_UNROLL for (int c = 0; c < 4; ++c) {
             known[c] = value[4 * here + c];
             WROD_UNROLL for (int e = 0; e < c; ++e) known[c] -= d[c][e] * known[e];
+        }
+        WROD_TEAM {
+            if (lane == 0) {
+                WROD_UNROLL for (int c = 0; c < 4; ++c) {
+                    WROD_UNROLL for (int e = 0; e <= c; ++e) to[4 * c + e] = d[c][e];
+                    to[16 + c] = inverse[c];
+                    to[20 + c] = known[c];
+                }
+            }
+        }
+    };
+    WROD_WAIT();
+    WROD_FIRST_WARP {
+        double d[4][4];
+        WROD_UNROLL for (int c = 0; c < 4; ++c)
+            WROD_UNROLL for (int e = 0; e <= c; ++e) d[c][e] = window[4 * c + e];
+        factorise(d, 0, pivots_of);
+    }
+    WROD_WAIT();
+    for (int b = 0; b < n; ++b) {
+        const int below = end - b, here = b % W;
+        const int* at = place + W * (b % 2);
+        int* at_next = place + W * ((b + 1) % 2);
+        if (b + 1 < n) end = ends[b + 1];
+        const double* pivots = pivots_of + PIVOTS * (b % 2);
+        double d[4][4], inverse[4], known[4];
+        WROD_UNROLL for (int c = 0; c < 4; ++c) {
+            WROD_UNROLL for (int e = 0; e < c; ++e) d[c][e] = pivots[4 * c + e];
+            inverse[c] = pivots[16 + c];
+            known[c] = pivots[20 + c];
         }
         WROD_TEAM {
             // Lines of the column: of L D in the window, of L where they came from.
@@ -219,11 +248,25 @@ _ELIMINATE = (
                 double* to = lines + 16 * (row_of[here] + b);
                 WROD_UNROLL for (int c = 0; c < 4; ++c) {
                     far[4 * b + c] = known[c] * inverse[c];
-                    WROD_UNROLL for (int e = 0; e <= c; ++e) to[4 * c + e] = d[c][e];
+                    WROD_UNROLL for (int e = 0; e < c; ++e) to[4 * c + e] = d[c][e];
+                    to[5 * c] = pivots[5 * c];
                 }
             }
         }
         WROD_WAIT();
+        // One warp has the next diagonal block, all others the rest of the triangle.
+        WROD_FIRST_WARP if (b + 1 < n) {
+            const double* diagonal = window + STRIDE * at_next[0];
+            const double* left = window + STRIDE * at[1];
+            WROD_UNROLL for (int c = 0; c < 4; ++c)
+                WROD_UNROLL for (int e = 0; e <= c; ++e) {
+                    double entry = diagonal[4 * c + e];
+                    WROD_UNROLL for (int f = 0; f < 4; ++f)
+                        if (below > 0) entry -= left[4 * c + f] * inverse[f] * left[4 * e + f];
+                    d[c][e] = entry;
+                }
+            factorise(d, here + 1 < W ? here + 1 : 0, pivots_of + PIVOTS * ((b + 1) % 2));
+        }
         WROD_TEAM {
             int i = WROD_OWN(first_i, 0), j = WROD_OWN(first_j, 0);
             const int e = lane % 4;
@@ -245,7 +288,7 @@ _ELIMINATE = (
                     WROD_UNROLL for (int f = 0; f < 4; ++f)
                         result[f] -= scaled[c] * entries[4 * f + c];
                 WROD_UNROLL for (int f = 0; f < 4; ++f) own[f] = result[f];
-                j += TEAM / 4;
+                j += TEAM / 4 - 8;
                 while (j > i) j -= ++i;
             }
         }

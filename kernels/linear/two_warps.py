@@ -8,7 +8,23 @@ looked at.
 # Threads of a block: a warp for each end.
 ENDS = 64
 
-WINDOWS = """
+# Two steps of Newton's from a GPU's estimate; what is not normal is nobody's pivot.
+RECIPROCAL = """
+#if defined(__CUDA_ARCH__)
+    auto reciprocal = [](double value) {
+        double guess;
+        asm("rcp.approx.ftz.f64 %0, %1;" : "=d"(guess) : "d"(value));
+        guess = fma(guess, fma(-value, guess, 1.0), guess);
+        return fma(guess, fma(-value, guess, 1.0), guess);
+    };
+#else
+    auto reciprocal = [](double value) { return 1.0 / value; };
+#endif
+"""
+
+WINDOWS = (
+    RECIPROCAL
+    + """
 #if defined(__CUDA_ARCH__)
 #define WROD_SHARED __shared__
 #define WROD_ENDS for (int end = threadIdx.x / 32, once = 1; once; once = 0)
@@ -27,12 +43,6 @@ WINDOWS = """
 #define WROD_ARRIVE() \\
     asm volatile("cp.async.wait_all;" ::: "memory"); \\
     __syncwarp()
-    auto reciprocal = [](double value) {
-        double guess;
-        asm("rcp.approx.ftz.f64 %0, %1;" : "=d"(guess) : "d"(value));
-        guess = fma(guess, fma(-value, guess, 1.0), guess);
-        return fma(guess, fma(-value, guess, 1.0), guess);
-    };
 #else
 #define WROD_SHARED
 #define WROD_ENDS for (int end = 0; end < 2; ++end)
@@ -49,7 +59,6 @@ WINDOWS = """
     for (int lane = 0; lane < 32; ++lane) bits |= (unsigned)(name[lane] != 0) << lane
 #define WROD_SEND(to, from) *(to) = *(from)
 #define WROD_ARRIVE()
-    auto reciprocal = [](double value) { return 1.0 / value; };
 #endif
     const int BAND = 11, REACH = 10, CHUNK = 32, ROWS = CHUNK + REACH;
     // A window holds rows of the entries (a, a - k), k = 0...10, of what is left, then of L and D;
@@ -63,3 +72,4 @@ WINDOWS = """
     WROD_SHARED double scaleds[2][44];
     WROD_SHARED int counts[2];
 """
+)
