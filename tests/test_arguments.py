@@ -11,6 +11,7 @@ import importlib
 import inspect
 import itertools
 import os
+import pickle
 import random
 import shutil
 import signal
@@ -814,6 +815,14 @@ def test_what_holds_arrays_is_compared_and_kept_in_sets():
     assert len({*made, *made}) == len(made)
     for one in made:
         assert one == one and one != 1 and isinstance(one == copy.deepcopy(one), bool)
+
+
+def test_what_lies_on_a_device_is_neither_pickled_nor_copied():
+    made = rods()
+    for one in (made, wrod.Dynamics(free(made), radius=0.001)):
+        for how in (pickle.dumps, copy.copy, copy.deepcopy):
+            with pytest.raises(WrodError, match=f"a {type(one).__name__} holds arrays on a device"):
+                how(one)
 
 
 @pytest.mark.parametrize("name", ["Trajectory", "Deployment", "JointPath"])

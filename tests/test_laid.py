@@ -52,6 +52,14 @@ def test_residual_is_told_along_and_to_the_left():
     assert np.abs(back.residual() - laid.residual()).max() < 1e-9
 
 
+def test_where_a_rod_is_hidden_its_points_are_in_order():
+    pattern = wrod.pattern("letter-U")
+    line = offset(pattern)
+    seen = np.delete(line, [*range(20, 36), *range(130, 150)], axis=0)
+    laid = load_laid([seen], pattern, noise=NOISE)
+    assert np.abs(laid.curves[0][[0, -1]] - line[[0, -1], :2]).max() < 1e-6
+
+
 def test_noise_is_seen_in_the_scatter_of_rods():
     pattern = wrod.pattern("line")
     rods = [noisy(offset(pattern, left=0.003), seed) for seed in range(8)]
@@ -84,6 +92,8 @@ def test_bad_centrelines_are_named(tmp_path, plan):
         (1000 * line, "millimetres"),
         (line + [5.0, 0.0, 0.0], "from the pattern on average"),
         (broken, "point 7 is not a number"),
+        (np.random.default_rng(0).permutation(line), "not in order along the rod"),
+        (np.concatenate([line[100:], line[:100]]), "not in order along the rod"),
     ):
         with pytest.raises(DataError, match=f"centreline 0: .*{says}"):
             load_laid([source], pattern, noise=NOISE)

@@ -189,6 +189,33 @@ def test_an_interrupted_command_says_so(tmp_path):
     assert "wrod: interrupted" in said and (tmp_path / "out" / "manifest.json").exists()
 
 
+# An interruption that strikes where Python lets none be mended: a thread's future stays locked.
+_STRUCK_IN_A_LOCK = """
+import os, signal, sys, threading, time
+enter, struck = threading.Condition.__enter__, []
+def locked(self):
+    enter(self)
+    mine = threading.get_ident() == threading.main_thread().ident
+    if mine and not struck and sys._getframe(1).f_code.co_name == "result":
+        struck.append(os.kill(os.getpid(), signal.SIGINT))
+        time.sleep(0)
+threading.Condition.__enter__ = locked
+import wrod.grasps.optimal
+wrod.grasps.optimal.os.cpu_count = lambda: 2
+from wrod.__main__ import main
+main()
+"""
+
+
+def test_a_thread_that_never_ends_does_not_hold_an_interrupted_command(tmp_path):
+    words = "dataset --size 64 --no-sensitivities --device cpu --out"
+    run = subprocess.run(
+        [sys.executable, "-c", _STRUCK_IN_A_LOCK, *words.split(), str(tmp_path / "out")],
+        capture_output=True, text=True, timeout=60, preexec_fn=hear_interruptions,
+    )  # fmt: skip
+    assert run.returncode == INTERRUPTED and "wrod: interrupted" in run.stderr
+
+
 def test_an_output_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").write_text("x")
     for out in ("/proc/none/out", tmp_path / "file" / "out", tmp_path / ("n" * 300)):

@@ -47,6 +47,32 @@ def _wind_up() -> None:
     # Where an interruption struck a string that was executed (a dataclass does that), Python has
     # noted it, and would end by 130 whatever the command said; one that ends well clears the note.
     exec("0")
+    end = sys.exc_info()[1]
+    if isinstance(end, SystemExit) and end.code:
+        _leave(end.code if isinstance(end.code, int) else 1)
+
+
+def _leave(code: int) -> None:
+    """End now if a thread is still at work a second after a command gave up: Python would wait for
+    it, and one never ends whose lock the interruption left held (it can strike between
+    `threading.Condition` taking its lock and the body of the `with`)."""
+    import contextlib
+    import os
+    import threading
+    import time
+
+    def at_work() -> bool:
+        others = (one for one in threading.enumerate() if one is not threading.main_thread())
+        return any(not one.daemon for one in others)
+
+    late = time.monotonic() + 1.0
+    while at_work() and time.monotonic() < late:
+        time.sleep(0.01)
+    if at_work():
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError, AttributeError):
+                stream.flush()
+        os._exit(code)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ def command(images: Path, source: str, repeats: int) -> None:
     from wrod.files import read_json
     from wrod.machine import machine_line
     from wrod.perception.image import read_image
-    from wrod.perception.score import score_paths
+    from wrod.perception.score import finite_mean, score_paths
     from wrod.perception.trace import trace_centerlines
 
     sets = sorted(p.parent for p in images.glob("*/gt") if p.is_dir())
@@ -72,7 +72,7 @@ def command(images: Path, source: str, repeats: int) -> None:
     names = ("dice", "count", "order", "offset_px")
     table = [
         {"set": name, "pictures": len(part)}
-        | {key: float(np.nanmean([row[key] for row in part])) for key in names}
+        | {key: finite_mean([row[key] for row in part]) for key in names}
         | {"ms": float(np.median([row["ms"] for row in part]))}
         for name in sorted({row["set"] for row in rows})
         if (part := [row for row in rows if row["set"] == name])

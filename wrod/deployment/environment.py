@@ -24,6 +24,7 @@ from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
+from wrod.rods.device import OnDevice
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
@@ -51,7 +52,7 @@ class _Episode:
     rotation: np.ndarray
 
 
-class LayingVectorEnv(VectorEnv):
+class LayingVectorEnv(OnDevice, VectorEnv):
     """Rods that are laid along a pattern, all at once.
 
     An action is (6,) in -1 to 1: where the grip shall be at the end of the next interval beside

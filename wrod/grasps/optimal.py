@@ -144,17 +144,19 @@ def _solve_straight(inputs: GraspArrays, sensitivities: bool, options: GraspOpti
 
     def solve(first: int) -> None:
         count, ladder = min(size, rods - first), spare.get()
-        ladder.solve(
-            inputs.arrays,
-            first,
-            count,
-            closure=options.closure,
-            extrapolate=options.extrapolate,
-            out=out,
-        )
+        try:
+            ladder.solve(
+                inputs.arrays,
+                first,
+                count,
+                closure=options.closure,
+                extrapolate=options.extrapolate,
+                out=out,
+            )
+        finally:
+            spare.put(ladder)  # a thread whose rods failed goes on to others, and waits for one
         if options.progress is not None:
             options.progress(count)
-        spare.put(ladder)
 
     firsts = range(0, rods, size)
     if workers > 1 and len(firsts) > 1:

@@ -29,6 +29,7 @@ from wrod.newton_solver.owned import choose_bodies
 from wrod.newton_solver.rows import find_rows
 from wrod.newton_solver.shapes import ModelShapes
 from wrod.newton_solver.tapes import off_tape
+from wrod.rods.device import OnDevice
 from wrod.solvers.dynamics import SCHEMES
 
 _STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
@@ -37,7 +38,7 @@ _PATIENCE = 3
 _PASSED_ON = ("body_q", "body_qd", "joint_q", "joint_qd", "particle_q", "particle_qd")
 
 
-class SolverDER(RodBuilding, SolverBase):
+class SolverDER(OnDevice, RodBuilding, SolverBase):
     """Implicit discrete elastic rods, in float64, inside a Newton scene.
 
     Rods are no bodies of Newton's: their state is in `state.der` (`node_q` [m], `node_qd` [m/s],

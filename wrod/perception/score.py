@@ -1,6 +1,7 @@
 """Scores of centrelines against labelled pictures."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wrod.perception import refine
 from wrod.perception.crossings import find_crossings
@@ -44,13 +45,18 @@ def score_paths(
         offsets.append(_offsets(line, rod, (labels > 0) & ~rod))
     if crossings is not None and lines:
         order *= float(len(find_crossings(lines)) == crossings)
-    every = np.concatenate(offsets) if offsets else np.array([np.nan])
     return {
         "dice": float(dice[rows, columns].sum() / len(rods)),
         "count": count,
         "order": order,
-        "offset_px": float(np.nanmean(every)) if len(every) else float("nan"),
+        "offset_px": finite_mean(np.concatenate([*offsets, []])),
     }
+
+
+def finite_mean(values: ArrayLike) -> float:
+    """Of the values that are numbers; NaN if none is, as where no rod was found."""
+    found = np.asarray(values)[np.isfinite(values)]
+    return float(found.mean()) if len(found) else float("nan")
 
 
 def _draw(line: Centerline, shape: tuple[int, int]) -> np.ndarray:

@@ -16,6 +16,7 @@ from wrod.kernels.elastic.frames import (
     set_reference_frames,
 )
 from wrod.kernels.elastic.inelastic import Inelastic, inelastic_energy, set_inelastic_laws
+from wrod.rods.device import OnDevice
 from wrod.rods.state import RodState
 
 
@@ -23,7 +24,7 @@ def _floats(name: str, value) -> np.ndarray:
     return arguments.floats(value, name, RodError)
 
 
-class BatchArrays:
+class BatchArrays(OnDevice):
     """What changes a batch's arrays; see `wrod.rods.batch.RodBatch`."""
 
     device: str

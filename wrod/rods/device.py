@@ -30,3 +30,13 @@ def resolve_device(device: str | None) -> str:
                 "wait, or use cpu"
             ) from error
     return str(found)
+
+
+class OnDevice:
+    """What holds arrays on a device and kernels: it is neither pickled nor copied."""
+
+    def __reduce_ex__(self, protocol):
+        raise RodError(
+            f"a {type(self).__name__} holds arrays on a device and is neither pickled nor copied; "
+            "keep what it was made of and its state, read by .numpy(), and make another of them"
+        )

@@ -12,6 +12,7 @@ from wrod.kernels.contact import planes as kernels
 from wrod.kernels.contact import rolling as rolls
 from wrod.kernels.contact.shapes import NOTHING, Shape
 from wrod.rods.batch import RodBatch
+from wrod.rods.device import OnDevice
 from wrod.rods.discretisation import cells
 from wrod.solvers.carried_shapes import CarriedShapes
 from wrod.solvers.edge_contact import EdgeContact
@@ -55,7 +56,7 @@ _FAR = 1e100
 
 
 @dataclass
-class Contact:
+class Contact(OnDevice):
     """Contact of every rod of a batch with shapes; arrays live on the batch's device.
 
     A rod's nodes touch planes, its edges solids, wherever between their nodes these stand

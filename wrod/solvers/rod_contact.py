@@ -14,6 +14,7 @@ from wrod.kernels.contact import pairs as contact_pairs
 from wrod.kernels.contact import rods as kernels
 from wrod.kernels.contact.segments import AT_END, AT_START, EDGE, SPLINE
 from wrod.rods.batch import RodBatch
+from wrod.rods.device import OnDevice
 from wrod.solvers.friction import Friction, contact_damping
 from wrod.solvers.readback import read
 
@@ -30,7 +31,7 @@ _HARD_DEPTH, _HARD_SKIN = 0.015, 0.01
 _IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
 
 
-class RodContact:
+class RodContact(OnDevice):
     """Contact between all edges of the rods that share a row of a batch (a scene).
 
     Edges are capsules around the centreline; `smooth` ones are tubes around a quadratic B-spline of

@@ -11,6 +11,7 @@ from wrod.kernels.lanes import WARP
 from wrod.kernels.stepping import continuation
 from wrod.kernels.stepping.pace import Pace
 from wrod.rods.batch import RodBatch
+from wrod.rods.device import OnDevice
 from wrod.rods.state import RodState, node_positions
 
 SCHEMES = ("euler", "bdf2", "midpoint")
@@ -26,7 +27,7 @@ class Motion(Protocol):
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
 
 
-class Steps:
+class Steps(OnDevice):
     """Where the time steps of a batch's rods are, every rod at its own pace.
 
     Args:

@@ -24,6 +24,8 @@ from wrod.patterns.pattern import Pattern
 _FAR = 0.5
 # How much of the pattern's end may be missing from a centreline, as a share of the pattern.
 _MISSING = 0.1
+# Steps between points that are jumps, and how much of them in sum may go astray, as shares of it.
+_JUMP, _STRAY = 0.03, 0.25
 # Distance of the points of a smoothed centreline [m], and of how many a local cubic is made.
 _SPACING, _WINDOW = 0.001, 21
 
@@ -160,8 +162,9 @@ def _checked(curve: np.ndarray, pattern: Pattern, name: str) -> np.ndarray:
         row = int(np.argwhere(~np.isfinite(curve))[0, 0])
         raise DataError(f"{name}: point {row} is not a number; leave it out")
     curve = curve[:, :2]
-    length = float(arc_length(curve)[-1])
     wanted = pattern.length + pattern.remainder_length
+    _refuse_disorder(curve, wanted, name)
+    length = float(arc_length(curve)[-1])
     if length < (1.0 - _MISSING) * wanted or length > 100.0 * wanted:
         hint = " (millimetres?)" if length > 100.0 * wanted else ""
         raise DataError(
@@ -182,6 +185,31 @@ def _checked(curve: np.ndarray, pattern: Pattern, name: str) -> np.ndarray:
             "pattern's frame, in metres"
         )
     return best
+
+
+def _refuse_disorder(curve: np.ndarray, wanted: float, name: str) -> None:
+    """Refuse points that are not in their order: where the rod jumps there and back although the
+    pieces between its jumps have ends that are near each other. Where it is hidden they have not.
+    """
+    from scipy.sparse.csgraph import minimum_spanning_tree  # loads half of SciPy
+    from scipy.spatial import cKDTree
+    from scipy.spatial.distance import cdist
+
+    step = np.hypot(*np.diff(curve, axis=0).T)
+    spacing = np.median(cKDTree(curve).query(curve, k=2)[0][:, 1])
+    last = np.flatnonzero(step > max(5.0 * spacing, _JUMP * wanted))
+    if not len(last):
+        return
+    needed = 0.0
+    if len(last) * _JUMP < 1.0:  # more gaps than that would leave no rod
+        starts, ends = curve[[0, *(last + 1)]], curve[[*last, -1]]
+        pairs = [cdist(a, b) for a in (starts, ends) for b in (starts, ends)]
+        needed = minimum_spanning_tree(np.min(pairs, axis=0) + 1e-12).sum()
+    if step[last].sum() - needed > _STRAY * wanted:
+        raise DataError(
+            f"{name}: its points are not in order along the rod (point {last[0] + 1} is "
+            f"{step[last[0]]:.3g} m from the one before); sort them from one end to the other"
+        )
 
 
 def _smooth(curve: np.ndarray) -> np.ndarray:
