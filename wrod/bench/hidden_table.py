@@ -1,7 +1,9 @@
 """The confusion table of `wrod bench identify --hidden`: what was hidden, what was found."""
 
 import math
+import traceback
 from collections.abc import Sequence
+from pathlib import Path
 
 # A direction is right within the same 5 %, of a radian.
 WITHIN = 0.05
@@ -16,6 +18,7 @@ OUTCOMES = (
     "wrong",
     "false alarm",
     "refused",
+    "failed",
 )
 
 
@@ -40,6 +43,11 @@ def examine(
         entry = row(measurements, device, seconds)
     except DataError as error:
         return key | {"outcome": so_far, "reason": str(error)}
+    except Exception as error:  # a fault of the program: the other sets are to be seen all the same
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        said = f"{type(error).__name__} at {Path(at.filename).name}:{at.lineno}: {error}"
+        whole = "".join(traceback.format_exception(error))
+        return key | {"outcome": "failed", "reason": said, "traceback": whole}
     found = {effect["name"]: effect["parameters"] for effect in entry["effects"]}
     worst, deviations = error_of(found, hidden.truth)
     akin, prints = NEAR.get(case, ((), ()))
@@ -138,7 +146,7 @@ def lines(rows: Sequence[dict]) -> list[str]:
         f"{'/floor':>7} {'error':>7} {'/sigma':>7} {'cpu s':>6}  found"
     ]
     for r in rows:
-        if r["outcome"] in ("not made", "refused"):
+        if r["outcome"] in ("not made", "refused", "failed"):
             said = f"{r['outcome']:12} {r['reason']}"
             text.append(f"{r['set']:38} {r['seed']:>4} {r['noise']:14}  {said}")
             continue

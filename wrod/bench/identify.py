@@ -85,7 +85,7 @@ def _hidden(seeds, noises, only, out, workers, limit, device) -> None:
     from wrod.bench.hidden_noise import NOISES
     from wrod.bench.hidden_sets import cases
     from wrod.bench.hidden_table import examine, lines, summary
-    from wrod.errors import DataError
+    from wrod.errors import DataError, WrodError
 
     names = list(dict.fromkeys(n for text in only or ("",) for n in _called(text, cases())))
     if not names:
@@ -106,17 +106,28 @@ def _hidden(seeds, noises, only, out, workers, limit, device) -> None:
     )
     done, jobs = len(wanted) - len(pending), [(*key, device, limit) for key in pending]
     ended = side_by_side.run(examine, jobs, min(workers, max(len(pending), 1)))
+    failed = []
     for _, row in cost.progress_bar(ended, total=len(wanted), initial=done, unit="set"):
-        ledger.add([row])
-    rows, seconds = ledger.of(wanted), time.perf_counter() - start
+        if row["outcome"] == "failed":  # not kept, so that another run tries it again
+            failed.append(row)
+        else:
+            ledger.add([row])
+    rows, seconds = ledger.of(wanted) + failed, time.perf_counter() - start
     tell(
         {"machine": machine_line(device), "seconds": seconds, "rows": rows},
         *lines(rows),
         "",
         *summary(rows),
         f"{len(pending)} sets in {seconds:.0f} s with {workers} processes",
-        *[f"wrote {kept}"] * (kept is not None),
+        *[f"wrote {kept}"] * (kept is not None and bool(ledger.rows)),
+        *(row["traceback"] for row in failed),
     )
+    if failed:
+        raise WrodError(
+            f"{len(failed)} of {len(wanted)} sets failed by a fault of wrod, the first of them "
+            f"{failed[0]['set']} of seed {failed[0]['seed']} ({failed[0]['reason']}); the others "
+            "are complete, and the same command tries again those that failed"
+        )
 
 
 def _called(text: str, names: Iterable[str]) -> list[str]:
