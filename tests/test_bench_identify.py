@@ -11,6 +11,7 @@ from wrod.bench.hidden_sets import TRIALS, cases
 from wrod.bench.hidden_table import error_of, lines, located, outcome, summary
 from wrod.bench.identify import _called
 from wrod.commands import main
+from wrod.errors import DataError
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.effect import Model, effects
@@ -216,6 +217,27 @@ def test_a_case_is_asked_for_by_its_whole_name():
     names = list(cases())
     assert _called("natural_curvature", names) == ["natural_curvature"]
     assert _called("none", names) == ["none 1", "none 2", "none 3"]
+
+
+def test_a_fault_in_one_set_ends_no_other(monkeypatch, tmp_path):
+    asked = []
+
+    def make(case, seed, noise):
+        asked.append(case)
+        if asked == ["none 1"]:
+            raise IndexError("beyond the last trial")
+        raise DataError("no equilibrium")
+
+    monkeypatch.setattr("wrod.bench.hidden_sets.hidden_set", make)
+    command = ["bench", "identify", "--hidden", "4", "--only", "none", "--out", str(tmp_path)]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 2, result.output
+    assert result.output.count("not made     no equilibrium") == 2
+    assert "nothing hidden          1 sets: failed 1" in result.output
+    said = "1 of 3 sets failed by a fault of wrod, the first of them none 1 of seed 4 (IndexError"
+    assert said in result.output
+    assert CliRunner().invoke(main, command).exit_code == 0  # it alone is tried again
+    assert asked == ["none 1", "none 2", "none 3", "none 1"]
 
 
 def test_recordings_of_motion_are_no_sets(tmp_path):
