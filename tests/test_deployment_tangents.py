@@ -37,7 +37,7 @@ def columns(trajectory):
 def displaced(trial, directions, column, by, offset):
     """What the direction of that number leads to, without any derivative."""
     law, disturbance = trial.friction, trial.disturbance
-    law = Friction(law.static + by * directions.friction[column])
+    law = Friction(law.static + by * directions.friction[column, 0])
     stiffer = np.exp(by * directions.stiffness[column] / 3.0) - 1.0
     bent = by * directions.natural_curvature[column]
     disturbance = replace(disturbance, lgb_error=stiffer, natural_curvature=bent)
@@ -75,6 +75,31 @@ def test_tangents_are_limits_of_differences(bend, friction, tolerance, agrees):
         largest = np.abs(laid.tangent[column])[:until].max()
         assert largest > 0.0
         assert error < agrees * largest + 1e-6, (column, error, largest)
+
+
+def test_friction_by_place_is_a_limit_of_differences(bend):
+    """A rod that slides on a table where friction rises along the first axis."""
+    pattern, trajectory = bend
+    trial, options = Trial(pattern, ROD, trajectory, Friction(0.3)), OPTIONS | {"tolerance": 1e-9}
+    ends = []
+    for by in (1e-5, -1e-5):
+        field = wrod.FrictionField.of(lambda x, y, by=by: 1.0 + by * x, (-1.0, 1.0), (-1.0, 1.0))
+        ends.append(lay([trial], friction_field=field, **options)[0].centerline)
+    difference = (ends[0] - ends[1]) / 2e-5
+    # Under points of the rod, where it lies in the end: those that slid lay up to 4 mm elsewhere.
+    (laid,) = lay([trial], **options)
+    at = np.linspace(0.0, ROD.length, 200)
+    rates = 0.3 * np.interp(at, laid.arc_length, laid.centerline[:, 0])
+    none = np.zeros((2, 1))
+    uniform = np.full(200, 0.3 * rates.mean())
+    columns = Directions(
+        np.zeros((2, len(trajectory), 6)), np.stack([rates, uniform]), none[:, 0], none[:, 0]
+    )
+    (laid,) = lay([trial], [columns], **options)
+    until = np.searchsorted(laid.arc_length, trajectory.arc_length[-1])
+    error = [np.abs(difference - one)[:until].max() for one in laid.tangent]
+    largest = np.abs(difference[:until]).max()
+    assert error[0] < 0.02 * largest < 0.1 * error[1]
 
 
 def test_a_batch_holds_what_its_rods_hold_alone(bend):

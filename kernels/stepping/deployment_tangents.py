@@ -111,7 +111,7 @@ def load_tangents(
     # Model:
     mass: wp.array2d(dtype=wp.float64),
     air_damping: wp.array(dtype=wp.float64),
-    friction_rate: wp.array2d(dtype=Any),
+    friction_rate: wp.array3d(dtype=Any),
     stiffness_rate: wp.array2d(dtype=Any),
     natural_rate: wp.array2d(dtype=Any),
     roll: wp.array2d(dtype=wp.float64),
@@ -154,7 +154,7 @@ def load_tangents(
                 x = -mass[r, a] * (rate + air_damping[r] * v)
                 x -= elastic[r, a] * stiffness_rate[r, p] + natural[r, a] * natural_rate[r, p]
                 if k < 3 and push[r, i][2] != ZERO:
-                    x -= by_coefficient[r, i][k] * friction_rate[r, p]
+                    x -= by_coefficient[r, i][k] * friction_rate[r, p, i]
                     for m in range(3):
                         held = friction[r, i][k, m]
                         x -= held * (bristle[r, p, 3 * i + m] - now[r, p, 4 * i + m])
@@ -249,7 +249,7 @@ def solve_tangents_lanes(
 def carry_bristles(
     # Model:
     stiffness: wp.array2d(dtype=wp.float64),
-    friction_rate: wp.array2d(dtype=Any),
+    friction_rate: wp.array3d(dtype=Any),
     begin: wp.array2d(dtype=wp.float64),
     # State in:
     accepted: wp.array(dtype=wp.int32),
@@ -279,9 +279,9 @@ def carry_bristles(
         h = sliding_memory[r, i]
         f = by_coefficient[r, i]
         inverse = ONE / stiffness[r, i]
-        b0 = f[0] * friction_rate[r, p]
-        b1 = f[1] * friction_rate[r, p]
-        b2 = f[2] * friction_rate[r, p]
+        b0 = f[0] * friction_rate[r, p, i]
+        b1 = f[1] * friction_rate[r, p, i]
+        b2 = f[2] * friction_rate[r, p, i]
         for k in range(3):
             moved = x[r, p, 4 * i + k]
             pulled = bristle[r, p, 3 * i + k] + moved - now[r, p, 4 * i + k]

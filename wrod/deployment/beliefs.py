@@ -1,10 +1,13 @@
 """What is believed of a rod and its table while it is laid, and how looks change it."""
 
-from dataclasses import replace
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from wrod.deployment.expectation import FINE
+from wrod.deployment.places import Places
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, interpolated
 from wrod.deployment.simulate import Trial
@@ -19,15 +22,17 @@ from wrod.solvers.contact import Friction, FrictionField
 # Standard deviations of what may be wrong and nobody declared: of the logarithms of friction and
 # stiffness [-], natural curvature [1/m], and the robot's place [m].
 _DOUBT = np.array([0.5, 0.5, 3.0, 2e-3, 2e-3])
-# How much less sure these are at a look, in these, and how likely: where all is as before, where it
-# changes as things do, and where a table is another from here on, which is rare. The largest change
-# of a belief, in these.
+# How much less sure these are at a look, in these: where all is as before, or where it changes as
+# things do. The largest change of a belief, in these.
 _DRIFT = np.array([0.1, 0.05, 0.05, 0.1, 0.1])
-_OTHER_TABLE = np.array([1.0, 0.05, 0.05, 0.1, 0.1])
-_DRIFTS = ((0.1 * _DRIFT, 0.475), (_DRIFT, 0.475), (_OTHER_TABLE, 0.05))
+_DRIFTS = 0.1 * _DRIFT, _DRIFT
 _MOST_CHANGE = 1.5
+# How likely it is, before anything is seen, that friction differs from place to place.
+_VARIES = 0.05
 # Change of a belief up to which what is believed to lie answers linearly, in these.
 _LINEAR = 0.2
+# Points along a rod where friction by place is said to it.
+_ALONG = 400
 # What a point differs by though the beliefs are right: mesh, shaking, whatever else [m]; and how
 # far behind the contact a look tells of beliefs [m]: what lies there has told of them before.
 _MODEL_ERROR, _MODEL_ERROR_HANGING = 1e-3, 3e-3
@@ -41,8 +46,38 @@ _BESIDE = np.array([0.0, 2e-4, 4e-4, 8e-4, 1.6e-3])
 _LIKELY = np.array([0.8, 0.05, 0.05, 0.05, 0.05])
 
 
+@dataclass(frozen=True)
+class Account:
+    """One account of what is seen: mean (n,) and covariance (n, n) of what may be wrong, in
+    deviations, and the logarithm of its evidence."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    evidence: float
+
+    def after(
+        self, here: np.ndarray, information: np.ndarray, pull: np.ndarray, still: bool
+    ) -> Account:
+        """With a picture that has such an information (n, n) and pull (n,) about the beliefs `here`
+        (n,); the drift before it is the likeliest, or none where the grip stood `still`."""
+        apart = self.mean - here
+        fit = (pull - 0.5 * information @ apart) @ apart
+        left, told = pull - information @ apart, []
+        for drift in (0.0 * _DRIFT,) if still else _DRIFTS:
+            grown = np.diag(np.pad(drift**2, (0, len(here) - len(drift))))
+            before = self.covariance + grown
+            spread = np.eye(len(here)) + information @ before
+            covariance = before @ np.linalg.inv(spread)
+            step = covariance @ left
+            step *= min(1.0, _MOST_CHANGE / max(float(np.abs(step).max()), 1e-12))
+            likely = fit + 0.5 * (left @ step - np.linalg.slogdet(spread)[1])
+            told.append(Account(self.mean + step, covariance, self.evidence + float(likely)))
+        return max(told, key=lambda one: one.evidence)
+
+
 class Beliefs:
-    """Friction, stiffness, natural curvature and place of the robot, with their covariance.
+    """Friction, stiffness, natural curvature and place of the robot, with their covariance; and how
+    friction varies over the table, where that is likelier than that it does not.
 
     Args:
         pattern: that is laid.
@@ -54,11 +89,31 @@ class Beliefs:
     def __init__(self, pattern: Pattern, rod: RodMaterial, friction: float, hold: float):
         self.pattern, self.rod, self.hold = pattern, rod, hold
         self.friction = friction
-        self.field: FrictionField | None = None
-        # In deviations: logarithms of friction and stiffness, natural curvature, offset.
-        self.mean, self.covariance = np.zeros(5), np.eye(5)
+        self.places = Places(pattern)
+        self.told_field: FrictionField | None = None
+        # In deviations: logarithms of friction and stiffness, natural curvature, offset; and what
+        # friction differs by from place to place.
+        same = np.r_[np.ones(5), np.zeros(self.places.count)]
+        chances = (same, 1.0 - _VARIES), (np.ones(len(same)), _VARIES)
+        self.accounts = [Account(0.0 * same, np.diag(v), float(np.log(p))) for v, p in chances]
         # How far the robot has moved all that it does since [m], and turned it [rad].
         self.placed = np.zeros(3)
+
+    @property
+    def account(self) -> Account:
+        """That which is likeliest."""
+        return max(self.accounts, key=lambda one: one.evidence)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """(5,) without what friction differs by from place to place [deviations]."""
+        return self.account.mean[:5]
+
+    @property
+    def field(self) -> FrictionField | None:
+        """How friction varies over the table; None: it does not."""
+        varied = self.account.mean[5:]
+        return self.places.field(varied) if varied.any() else self.told_field
 
     @property
     def offset(self) -> np.ndarray:
@@ -69,8 +124,10 @@ class Beliefs:
         """Believe the truth."""
         stiffness = 3.0 * np.log1p(how.lgb_error)
         mu = np.log(friction / self.friction)
-        self.mean = np.array([mu, stiffness, how.natural_curvature, *how.offset]) / _DOUBT
-        self.field = field
+        mean = np.array([mu, stiffness, how.natural_curvature, *how.offset]) / _DOUBT
+        mean = np.pad(mean, (0, self.places.count))
+        self.accounts = [replace(one, mean=mean) for one in self.accounts]
+        self.told_field = field
 
     def trial(self, path: Trajectory, placed: np.ndarray | None = None) -> Trial:
         """The deployment that is believed in, all of it `placed` (3,) [m, rad] elsewhere; the grip
@@ -106,51 +163,58 @@ class Beliefs:
         """By what is seen when `s` [m] is laid, at the end of a path: root mean square of what lies
         against what was believed before [m], and what is believed to lie since. Nothing has changed
         since the last picture if the grip stood `still`."""
-        laid = yield from self.lay(path, Directions.of_rod(len(path)), **options)
-        residual = seen.place - interpolated(laid.arc_length, laid.centerline, seen.arc_length)
-        rates = [interpolated(laid.arc_length, c, seen.arc_length) for c in laid.tangent]
-        mu = self.trial(path).friction.static
-        rates[0] *= mu  # by its logarithm
-        shifts = np.zeros((2, *residual.shape))
-        shifts[0, :, 0] = shifts[1, :, 1] = 1.0
-        matrix = np.concatenate([rates, shifts]).reshape(5, -1).T * _DOUBT
-        model = np.where(np.arange(len(residual)) < seen.laid, _MODEL_ERROR, _MODEL_ERROR_HANGING)
-        weight = 1.0 / (seen.deviation**2 + model[:, None] ** 2)
-        weight[seen.arc_length < s - _MEMORY] = 0.0
-        weight = weight.ravel()
-        information = (matrix.T * weight) @ matrix
-        pull = (matrix.T * weight) @ residual.ravel()
-        step = self._renewed(information, pull, still)
-        step *= min(1.0, _MOST_CHANGE / np.abs(step).max())
-        self.mean = self.mean + step
+        laid = yield from self.felt(path, **options)
+        information, pull, residual = told_by(laid, s, seen)
+        before = self.account.mean
+        self.accounts = [one.after(before, information, pull, still) for one in self.accounts]
+        step = self.account.mean - before
         misfit = float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
         if np.abs(step).max() > _LINEAR:
             return misfit, (yield from self.lay(path, **options))
-        change = step * _DOUBT
-        change[0] *= mu
-        moved = laid.centerline + np.tensordot(change[:3], laid.tangent, 1)
-        moved[:, :2] += change[3:]
+        moved = laid.centerline + np.tensordot(step, laid.tangent, 1)
         return misfit, replace(laid, centerline=moved)
 
-    def _renewed(
-        self, information: np.ndarray, pull: np.ndarray, still: bool = False
-    ) -> np.ndarray:
-        """(5,) what a look adds to the beliefs, whose covariance becomes what it is then; whichever
-        drift is likeliest, or none where the grip stood `still`."""
-        drifts = ((0.0 * _DRIFT, 1.0),) if still else _DRIFTS
-        told = [self._told(information, pull, *one) for one in drifts]
-        _, self.covariance = max(told, key=lambda one: one[0])
-        return self.covariance @ pull
+    def under(self, arc_length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Friction (n,) believed where a rod lies on the pattern at arc lengths (n,) [m], and the
+        standard error (n,) of its logarithm."""
+        modes = self.places.modes(arc_length)
+        matrix = np.zeros((len(modes), len(self.account.mean)))
+        matrix[:, 0], matrix[:, 5:] = _DOUBT[0], modes
+        error = np.sqrt(np.einsum("ni,ij,nj->n", matrix, self.account.covariance, matrix))
+        return self.friction * np.exp(matrix @ self.account.mean), error
 
-    def _told(
-        self, information: np.ndarray, pull: np.ndarray, drift: np.ndarray, chance: float
-    ) -> tuple[float, np.ndarray]:
-        """Logarithm of how likely it is to see what is seen after such a drift, and the covariance
-        (5, 5) of the beliefs then."""
-        before = np.linalg.inv(self.covariance + np.diag(drift**2))
-        after = np.linalg.inv(information + before)
-        volumes = np.linalg.slogdet(before)[1] + np.linalg.slogdet(after)[1]
-        return np.log(chance) + 0.5 * (volumes + pull @ after @ pull), after
+    def felt(self, path: Trajectory, **options) -> Course[Laid]:
+        """What is believed to lie, and its derivatives by all that is believed [m/deviation]."""
+        laid = yield from self.lay(path, self._directions(path), **options)
+        shift = np.diag([*_DOUBT[3:], 0.0])[:2, None] + 0.0 * laid.centerline
+        return replace(laid, tangent=np.concatenate([laid.tangent[:3], shift, laid.tangent[3:]]))
+
+    def _directions(self, path: Trajectory) -> Directions:
+        """Columns of all that is believed but the offset, per deviation."""
+        mu, stiffness, natural = self.trial(path).friction.static, *_DOUBT[1:3]
+        at = np.linspace(0.0, self.rod.length, _ALONG)
+        friction = np.column_stack([np.full(_ALONG, _DOUBT[0]), self.places.modes(at)]).T * mu
+        rod = np.zeros((2, _ALONG))
+        one = np.eye(3 + self.places.count)
+        return Directions(
+            np.zeros((len(one), len(path), 6)),
+            np.concatenate([friction[:1], rod, friction[1:]]),
+            stiffness * one[1],
+            natural * one[2],
+        )
+
+
+def told_by(laid: Laid, s: float, seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is seen when `s` [m] is laid tells of what is believed to lie, by its derivatives: the
+    information (n, n) and pull (n,) about these, and the residuals (point, 3) [m]."""
+    residual = seen.place - interpolated(laid.arc_length, laid.centerline, seen.arc_length)
+    rates = [interpolated(laid.arc_length, c, seen.arc_length) for c in laid.tangent]
+    matrix = np.reshape(rates, (len(rates), -1)).T
+    model = np.where(np.arange(len(residual)) < seen.laid, _MODEL_ERROR, _MODEL_ERROR_HANGING)
+    weight = 1.0 / (seen.deviation**2 + model[:, None] ** 2)
+    weight[seen.arc_length < s - _MEMORY] = 0.0
+    weight = weight.ravel()
+    return (matrix.T * weight) @ matrix, (matrix.T * weight) @ residual.ravel(), residual
 
 
 def doubted(laid: Laid, pattern: Pattern, s: float, seen: Seen) -> float:

@@ -23,7 +23,8 @@ class Tangents:
         contact: with the table, the only thing that they touch.
         path: (rod, column, key, 6) rates of the grip's position [m] and rotation vector [rad]; of
             one rod: the same for all.
-        friction, stiffness, natural_curvature: (rod, column), see `Directions`.
+        friction: (rod, column, node) of the coefficient where a node lies, see `Directions`.
+        stiffness, natural_curvature: (rod, column), likewise.
         begin: (rod, column) time before which a column is nothing [s].
     """
 

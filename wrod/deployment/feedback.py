@@ -90,20 +90,24 @@ class Look:
 
     Attributes:
         laid: length that was laid then [m].
-        friction: coefficient [-].
+        friction: coefficient under the contact [-].
+        friction_error: standard error of its logarithm [-].
         lgb_error: relative, of L_gb.
         natural_curvature: [1/m].
         offset: (2,) of the robot [m].
         misfit: root mean square of what was seen against what had been believed [m].
+        varies: least and largest factor by which friction is believed to vary over the table.
         back: laid length to which the grip went back then [m]; None: it went on.
     """
 
     laid: float
     friction: float
+    friction_error: float
     lgb_error: float
     natural_curvature: float
     offset: tuple[float, float]
     misfit: float
+    varies: tuple[float, float]
     back: float | None = None
 
 
@@ -379,12 +383,16 @@ class _Point:
 def _look(beliefs: Beliefs, path: Trajectory, s: float, misfit: float, back: float | None) -> Look:
     trial = beliefs.trial(path)
     x, y = beliefs.offset
+    (mu,), (error,) = beliefs.under(np.array([s]))
+    factor = np.ones(1) if beliefs.field is None else np.asarray(beliefs.field.factor)
     return Look(
         s,
-        trial.friction.static,
+        float(mu),
+        float(error),
         trial.disturbance.lgb_error,
         trial.disturbance.natural_curvature,
         (float(x), float(y)),
         misfit,
+        (float(factor.min()), float(factor.max())),
         back,
     )

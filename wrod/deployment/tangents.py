@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from wrod.deployment.assembly import assemble
 from wrod.deployment.carried_tangents import Tangents
 from wrod.deployment.grip_path import KEY_INTERVAL
+from wrod.deployment.result import interpolation
 from wrod.deployment.setup import Setup, blend, one_hemisphere
 from wrod.deployment.simulate import prepare_trials, with_remainder_of
 from wrod.deployment.trial import Trial
@@ -31,7 +32,8 @@ class Directions:
     Attributes:
         path: (column, T, 6) displacement [m] and rotation vector [rad], in the world frame, of each
             pose of the trajectory.
-        friction: (column,) of the static and the kinetic coefficient [-].
+        friction: (column,) of the static and the kinetic coefficient [-]; or (column, point), where
+            it varies over the table: of those under points spread evenly along the rod.
         stiffness: (column,) of the logarithm of the rod's stiffness in stretching, bending and
             twisting, its weight unchanged: three times that of L_gb [-].
         natural_curvature: (column,) of the curvature at rest towards the left of the laid rod
@@ -42,6 +44,10 @@ class Directions:
     friction: np.ndarray
     stiffness: np.ndarray
     natural_curvature: np.ndarray
+
+    def __post_init__(self) -> None:
+        if np.ndim(self.friction) == 1:
+            object.__setattr__(self, "friction", np.asarray(self.friction)[:, None])
 
     @classmethod
     def of_path(cls, path: np.ndarray) -> Directions:
@@ -57,11 +63,14 @@ class Directions:
 
     def __add__(self, other: Directions) -> Directions:
         """The columns of both."""
-        names = ("path", "friction", "stiffness", "natural_curvature")
-        return Directions(*(np.concatenate([getattr(d, n) for d in (self, other)]) for n in names))
+        names = ("path", "stiffness", "natural_curvature")
+        path, *rod = (np.concatenate([getattr(d, n) for d in (self, other)]) for n in names)
+        points = max(d.friction.shape[1] for d in (self, other))
+        friction = [np.broadcast_to(d.friction, (len(d), points)) for d in (self, other)]
+        return Directions(path, np.concatenate(friction), *rod)
 
     def __len__(self) -> int:
-        return len(self.friction)
+        return len(self.path)
 
 
 @dataclass(frozen=True)
@@ -191,8 +200,9 @@ def _check(trials: list[Trial], directions: list[Directions]) -> None:
 
 
 def _columns(trials, setups, directions: list[Directions], moves: list[np.ndarray]):
-    """(rod, column, key, 6) rates of the grip, of one rod where all are alike, three (rod, column)
-    of what the rod is, and (rod, column) when each column begins [s]."""
+    """(rod, column, key, 6) rates of the grip, of one rod where all are alike, (rod, column, node)
+    of friction, two (rod, column) of what the rod is, and (rod, column) when each column begins
+    [s]."""
     found: dict[tuple, np.ndarray] = {}
     paths = []
     for trial, setup, columns, move in zip(trials, setups, directions, moves, strict=True):
@@ -212,12 +222,21 @@ def _columns(trials, setups, directions: list[Directions], moves: list[np.ndarra
     path = np.stack(
         [np.pad(r, ((0, 0), (0, keys - r.shape[1]), (0, 0)), mode="edge") for r in paths]
     )
-    names = ("friction", "stiffness", "natural_curvature")
-    rod = [np.stack([getattr(d, n) for d in directions]) for n in names]
+    rod = [
+        np.stack([getattr(d, n) for d in directions]) for n in ("stiffness", "natural_curvature")
+    ]
+    friction = np.stack([_under(*each) for each in zip(trials, setups, directions, strict=True)])
     moves = np.abs(path).max(axis=3) > 0.0
     first = np.where(moves.any(axis=2), moves.argmax(axis=2) - 2, keys)
-    first = np.where(np.any(np.stack(rod) != 0.0, axis=0), -2, first)
-    return path, *rod, KEY_INTERVAL * first
+    always = np.any([*(rates != 0.0 for rates in rod), friction.any(axis=2)], axis=0)
+    return path, friction, *rod, KEY_INTERVAL * np.where(always, -2, first)
+
+
+def _under(trial: Trial, setup: Setup, columns: Directions) -> np.ndarray:
+    """(column, node) rates of the coefficient of friction under a rod's nodes."""
+    at = np.linspace(0.0, trial.rod.length, max(columns.friction.shape[1], 2))
+    rates = np.broadcast_to(columns.friction, (len(columns), len(at)))
+    return rates @ interpolation(setup.arc_length, at).T
 
 
 def _over_keys(trial: Trial, setup: Setup, values: np.ndarray) -> np.ndarray:
