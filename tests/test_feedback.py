@@ -10,7 +10,8 @@ from cli import refused, run
 import wrod
 from wrod.deployment.beliefs import Beliefs, Beside, doubted, told_by
 from wrod.deployment.expectation import COARSE, FINE
-from wrod.deployment.feedback import Plant, Sight, _Now, lay_with_feedback
+from wrod.deployment.feedback import Plant, Sight, lay_with_feedback
+from wrod.deployment.replanning import Moment
 from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen
@@ -152,7 +153,7 @@ def test_a_beginning_that_springs_is_laid_for_it(bend):
     pattern, trajectory = bend
     beliefs = Beliefs(pattern, ROD, 0.4, 0.05)
     beliefs.know(0.4, Disturbance(natural_curvature=6.0), None)
-    now = _Now(beliefs, Way(trajectory), 0.07, np.zeros(2), horizon=10.0)
+    now = Moment(beliefs, Way(trajectory), 0.07, np.zeros(2), horizon=10.0)
     way, placed = follow([now.begun()], hold=0.05)[0]
     left = []
     for path, where in ((trajectory, np.zeros(3)), (way.path, placed)):
@@ -216,7 +217,7 @@ def test_what_lies_beside_is_made_up_for_by_several_steps(bend):
     """One step is not enough: what lies answers linearly to a millimetre of the grip alone."""
     pattern, trajectory = bend
     way, beliefs = Way(trajectory), Beliefs(pattern, ROD, 0.3, 0.05)
-    now = _Now(beliefs, way, 0.12, np.array([0.0, 2e-3]), horizon=10.0)
+    now = Moment(beliefs, way, 0.12, np.array([0.0, 2e-3]), horizon=10.0)
     before, after, corrected, _ = follow([now._corrected(way, 0.12)], hold=0.05)[0]
     assert before[-15:].mean() > 2e-3 and after[-15:].mean() < 0.5 * before[-15:].mean()
     moved = corrected.path.position - trajectory.position

@@ -59,6 +59,8 @@ class Disturbance:
         slip: how far the rod slips through the grip while it is deployed, so that more of it hangs
             (or less, if negative) [m].
         seed: of the shaking, and of when the rod slips.
+        shaking_time: for which it is drawn at least [s]: deployments that take different times, up
+            to this, shake alike as long as both go on.
     """
 
     jitter: float = 0.0
@@ -68,6 +70,7 @@ class Disturbance:
     natural_curvature: float = 0.0
     seed: int = 0
     slip: float = 0.0
+    shaking_time: float = 0.0
 
     @arguments.checked(RodError)
     def __post_init__(self) -> None:
@@ -76,6 +79,7 @@ class Disturbance:
             ("jitter", arguments.number(0.0, 1e3)), ("lgb_error", arguments.number(-0.99, 1e3)),
             ("offset", two), ("yaw", number), ("natural_curvature", number),
             ("seed", arguments.whole()), ("slip", number),
+            ("shaking_time", arguments.number(0.0, 1e5)),
         ):  # fmt: skip
             wrong = check(getattr(self, name))
             if wrong is not None:
@@ -234,7 +238,8 @@ def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
     if disturbance.jitter > 0.0:
         count = len(position)
         rng = np.random.default_rng(disturbance.seed)
-        shaking = smooth_noise(rng, count, disturbance.jitter, 0.05 / KEY_INTERVAL)
+        drawn = max(count, int(np.ceil(disturbance.shaking_time / KEY_INTERVAL)))
+        shaking = smooth_noise(rng, drawn, disturbance.jitter, 0.05 / KEY_INTERVAL)[:count]
         fade = 1.0 - blend(KEY_INTERVAL * np.arange(count), setup.approach)
         position = position + fade[:, None] * shaking
     if disturbance.slip != 0.0:
