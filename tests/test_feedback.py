@@ -15,7 +15,7 @@ from wrod.deployment.replanning import Moment
 from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen
-from wrod.deployment.simulate import Trial
+from wrod.deployment.simulate import Trial, prepare_trials
 from wrod.deployment.tangents import lay
 from wrod.deployment.together import follow
 from wrod.deployment.way import Way
@@ -160,6 +160,25 @@ def test_a_beginning_that_springs_is_laid_for_it(bend):
         (laid,) = lay([beliefs.trial(path, where)], **FINE)
         left.append(errors_along(pattern, laid.arc_length, laid.centerline)[1][:20].mean())
     assert left[1] < 0.75 * left[0]
+
+
+def test_a_plant_is_shaken_as_it_was_however_long_it_goes_on(bend):
+    """Pictures are of plants that are laid again each time: what is past must not change."""
+    pattern, trajectory = bend
+    paths = [Way(trajectory).until(to).path for to in (0.15, 0.2)]
+    moved = []
+    for shaken in (Disturbance(jitter=3e-4, shaking_time=60.0), Disturbance(jitter=3e-4)):
+        short, long = (
+            setup.schedule.position
+            for setup in prepare_trials(
+                [Trial(pattern, ROD, p, Friction(0.4), shaken, Tail.none(p)) for p in paths],
+                0.05, None, 0.04, 0.01, None,
+            )
+        )  # fmt: skip
+        # Until the shorter one nears its end, where its spline is another by some micrometres.
+        common = len(short) - 100
+        moved.append(np.abs(short[:common] - long[:common]).max())
+    assert moved[0] < 2e-5 and moved[1] > 3e-4
 
 
 def test_looks_that_never_come_are_refused(bend):

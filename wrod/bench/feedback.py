@@ -114,7 +114,21 @@ def command(
             f"{EFFECTS[line['effect']]}: " + ", ".join(map(_told, line["ways"].items()))
             for line in table
         ),
+        *_looks_told(rows),
     )
+
+
+def _looks_told(rows: list[dict]) -> list[str]:
+    """How long looks took, and how often the grip went back."""
+    looks = [look for row in rows for look in row.get("looks", ())]
+    if not looks:
+        return []
+    seconds = [look["seconds"] for look in looks]
+    back = sum(look["back"] is not None for look in looks)
+    return [
+        f"{len(looks)} looks took {np.median(seconds):.1f} s each (median; at most "
+        f"{max(seconds):.1f}), for the beliefs and the path; the grip went back {back} times"
+    ]
 
 
 def _told(column: tuple[str, dict]) -> str:
