@@ -1,5 +1,6 @@
 """What the bodies that SolverDER moves touch: closed forms of rest, slopes, rolling and impacts."""
 
+import newton
 import numpy as np
 import pytest
 import warp as wp
@@ -83,6 +84,38 @@ def test_what_others_move_feels_a_body():
 
     after = scene.run(60, 1 / 120, move)[-1, 0]
     assert after[0] - before[0] == pytest.approx(0.05, abs=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore:this solver moves bodies with shapes")
+def test_a_free_body_with_an_endless_plane_bears_a_cable():
+    """A cable that falls on a heavy plate stays on it and brings it down with it, afloat: momentum
+    stays, and the plate, whose plane has no ends, does what one does that is a box."""
+    found = []
+    for endless in (True, False):
+        builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
+        wrod.SolverDER.register_custom_attributes(builder)
+        plate = builder.add_body(mass=0.05, inertia=wp.mat33(1e-4 * np.eye(3)))
+        cfg = newton.ModelBuilder.ShapeConfig(density=0.0, mu=0.5)
+        if endless:
+            builder.add_shape_plane(body=plate, width=0.0, length=0.0, cfg=cfg)
+        else:
+            under = wp.transform((0.0, 0.0, -0.1), wp.quat_identity())
+            builder.add_shape_box(plate, xform=under, hx=1.0, hy=1.0, hz=0.1, cfg=cfg)
+        material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.2)
+        points = np.outer(np.linspace(0.0, 0.2, 9), [1.0, 0.0, 0.0]) + [0.0, 0.0, 0.006]
+        wrod.SolverDER.add_rod(builder, points, material, velocity=np.tile([0.2, 0, -0.3], (9, 1)))
+        model = builder.finalize(device=DEVICE)
+        solver, state = wrod.SolverDER(model, bodies=[plate], tolerance=1e-9), model.state()
+        for _ in range(60):
+            solver.step(state, state, None, None, 1e-3)
+        assert not solver.diverged.any()
+        mass = model.der.node_mass.numpy()[:, None]
+        momentum = np.sum(mass * state.der.node_qd.numpy(), axis=0)
+        momentum = momentum + 0.05 * state.body_qd.numpy()[plate, :3]
+        assert momentum == pytest.approx(mass.sum() * np.array([0.2, 0.0, -0.3]), abs=1e-7)
+        assert state.body_qd.numpy()[plate, 2] < -0.01
+        found.append(state.der.node_q.numpy())
+    np.testing.assert_allclose(found[0], found[1], atol=1e-7)
 
 
 def test_without_contacts_it_says_so():

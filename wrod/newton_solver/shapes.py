@@ -35,8 +35,9 @@ _SOLIDS = (
 )
 
 
-# A plane with ends is a sheet as thick as this fraction of its shorter side.
-_THINNESS = 1e-3
+# A plane with ends is a sheet as thick as this fraction of its shorter side; an endless one on a
+# body that moves with rods, which touch solids there, ends after so many metres.
+_THINNESS, _ENDLESS = 1e-3, 1e3
 _STANDARD_GRAVITY = 9.81
 
 
@@ -92,8 +93,7 @@ class ModelShapes:
         owned[body >= 0] = own[body[body >= 0]]
         # Newton's detection knows bodies by their groups; those without one touch nothing at all.
         collide &= ~owned | (self._read("collision_group") != 0)
-        half_space = planes & ~sides.any(axis=1)
-        known = (planes | np.isin(kinds, [int(k) for k in _SOLIDS])) & ~(owned & half_space)
+        known = planes | np.isin(kinds, [int(k) for k in _SOLIDS])
         self.rows = np.flatnonzero(collide & known)
         self._worlds = self._read("world")[self.rows]
         self._owner = np.where(owned, body, -1)[self.rows]
@@ -106,7 +106,7 @@ class ModelShapes:
             warnings.warn(
                 f"rods pass through {len(unknown)} shapes: {', '.join(names)}"
                 f"{' and others' if len(unknown) > 3 else ''}; they touch no planes that end on "
-                "two sides alone, nor endless ones on bodies that move with rods",
+                "two sides alone",
                 WrodWarning,
                 stacklevel=4,
             )
@@ -128,6 +128,11 @@ class ModelShapes:
         burden, pose = np.zeros(shape), np.zeros((*shape, 7))
         pose[..., 6] = 1.0
         bodies, poses = self._read("body")[self.rows], self._read("transform")[self.rows]
+        poses, kinds, sizes = poses.astype(float), self._read("type")[self.rows], self._sizes()
+        for k in np.flatnonzero((kinds == GeoType.PLANE) & sizes[:, :2].all(axis=1)):
+            # The middle of a sheet lies below its plane.
+            axis = Rotation.from_quat(poses[k, 3:]).as_matrix()[:, 2]
+            poses[k, :3] -= _half_thickness(sizes[k]) * axis
         weight = _STANDARD_GRAVITY * self.model.body_mass.numpy()
         for r, row in enumerate(chosen):
             pose[r, : len(row)] = poses[row]
@@ -154,6 +159,14 @@ class ModelShapes:
         array = getattr(self.model, f"shape_{name}")
         return array.numpy() if self.model.shape_count else np.zeros((0, *width), dtype=np.int32)
 
+    def _sizes(self) -> np.ndarray:
+        """(shape, 3) scales of the shapes, planes without ends on bodies that move with rods being
+        as large as can be."""
+        out = self._read("scale")[self.rows].astype(float)
+        planes = (self._read("type")[self.rows] == GeoType.PLANE) & (self._owner >= 0)
+        out[planes & ~out[:, :2].any(axis=1)] = _ENDLESS
+        return out
+
     def _touched(self, rods: RodPlaces) -> list[np.ndarray]:
         """Indices into `rows` of what the rods of each row touch."""
         out = []
@@ -173,7 +186,7 @@ class ModelShapes:
             self._read("type")[self.rows],
             self._read("body")[self.rows],
             self._read("transform")[self.rows].astype(float),
-            self._read("scale")[self.rows].astype(float),
+            self._sizes(),
             strict=True,
         ):
             place, turn = pose[:3], Rotation.from_quat(pose[3:])
@@ -188,7 +201,7 @@ class ModelShapes:
         if kind == GeoType.PLANE:
             if not size[:2].all():
                 return Plane(place, axis)
-            deep = 0.5 * _THINNESS * size[:2].min()
+            deep = _half_thickness(size)
             center = tuple(np.subtract(place, np.multiply(deep, axis)))
             return Box(center, (0.5 * size[0], 0.5 * size[1], deep), quaternion)
         if kind == GeoType.SPHERE:
@@ -205,6 +218,11 @@ class ModelShapes:
             device = str(self.model.device)
             self._meshes[shape] = Mesh(*_triangles(source, kind, size), device=device)
         return self._meshes[shape].moved(place, quaternion)
+
+
+def _half_thickness(size: np.ndarray) -> float:
+    """Of the sheet that a plane of that size is."""
+    return 0.5 * _THINNESS * float(size[:2].min())
 
 
 def _triangles(source, kind: GeoType, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
