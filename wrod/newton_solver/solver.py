@@ -64,8 +64,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
     the adjoint of the steps as they are taken: by `state.der`, `body_q` of kinematic bodies that
     hold rods, `gravity`, `shape_material_mu`, and `model.der`'s stretching, bending and twisting
     stiffness, natural curvature and twist, internal and air damping, radii, and node masses and
-    rest lengths (both not for "consistent" inertia). Others have no `grad`. Rods may touch planes that stand still; all else
-    is refused.
+    rest lengths (both not for "consistent" inertia). Others have no `grad`. Rods may touch planes
+    that stand still; all else is refused.
 
     Example
     -------
