@@ -31,7 +31,7 @@ _COUPLED = {
     WARP: ("contact.touching",),
     TEAM: (
         "linear.skyline_order",
-        "linear.skyline_window",
+        "linear.skyline_ends",
         "linear.skyline_lanes",
         "linear.coupling",
     ),

@@ -4,13 +4,7 @@ import warp as wp
 
 from wrod.kernels.contact import touching
 from wrod.kernels.lanes import TEAM, lanes
-from wrod.kernels.linear import (
-    coupling,
-    skyline,
-    skyline_lanes,
-    skyline_order,
-    skyline_window,
-)
+from wrod.kernels.linear import coupling, skyline, skyline_ends, skyline_lanes, skyline_order
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.rod_contact import RodContact
 
@@ -63,13 +57,13 @@ class PairedSystem(BandedSystem):
         where = [contact.time_step, *contact.configuration, contact.rubbing]
         return [*where, self.pair_count, self.touching]
 
-    def _together(self, kernel, inputs, outputs) -> None:
-        """Launch a kernel whose lanes work on a rod together."""
+    def _together(self, kernel, inputs, outputs, blocks: int | None = None) -> None:
+        """Launch a kernel whose lanes work on a rod together, or on each of its blocks."""
         batch = self.batch
         count = lanes(batch.device, TEAM)
         wp.launch(
             kernel,
-            (batch.rod_count, count),
+            (batch.rod_count, count) if blocks is None else (batch.rod_count, blocks, count),
             inputs=inputs,
             outputs=outputs,
             device=batch.device,
@@ -124,6 +118,9 @@ class CoupledSystem(PairedSystem):
                 wp.zeros((rods, width * nodes), dtype=wp.float64, device=device)
                 for width in (skyline_lanes.STRIDE, skyline_lanes.STRIDE, 4, 4)
             )
+            numbers = skyline_ends.scratch_of(nodes)
+            self._factor = wp.zeros((rods, numbers), dtype=wp.float64, device=device)
+            self._negative = wp.zeros((rods, 2), dtype=wp.int32, device=device)
 
     def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:
         self._collect(active)
@@ -131,13 +128,21 @@ class CoupledSystem(PairedSystem):
             wp.copy(self.x[:, 0], gradient)
         BandedSystem.eliminate(self, gradient, hessian, self.banded)
         self._assemble(hessian)
-        near = skyline_window.reach_of(self.batch.node_count)
+        near = skyline_ends.reach_of(self.batch.node_count)
         if self._on_gpu:
-            inputs = [*self._chosen, self._reach, near, self.batch.free, *self._profile]
-            outputs = [self._lines, self.x, self.negative_pivots]
-            self._together(skyline_window.eliminate, [*inputs, gradient, self._y], outputs)
+            self._eliminate_near(near, gradient)
         self._factorise_coupled(near + 1)
         self._solve_coupled(1, near + 1)
+
+    def _eliminate_near(self, reach: int, gradient: wp.array) -> None:
+        """Solve rods none of whose columns reaches farther, on a GPU."""
+        chosen, ends = [*self._chosen, self._reach, reach], 2
+        blocks = [self.batch.free, *self._profile, gradient, self._lines]
+        outputs = [self._tally, self._y, self._factor, self._negative]
+        self._together(skyline_ends.eliminate, [*chosen, *blocks], outputs, ends)
+        order = [self._order, self._last, gradient, self._negative, self._factor]
+        outputs = [self.x, self.negative_pivots]
+        self._together(skyline_ends.go_back, [*chosen, *order], outputs, ends)
 
     def factorise(self, hessian: wp.array, active: wp.array) -> None:
         self._collect(active)
