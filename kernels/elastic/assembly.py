@@ -40,6 +40,133 @@ def add_component(gradient: wp.array2d(dtype=wp.float64), r: int, a: int, value:
 def add_entry(hessian: wp.array3d(dtype=wp.float64), r: int, a: int, k: int, value: wp.float64): ...
 
 
+# Derivatives of one stencil. On a GPU lanes of a warp that have neighbouring nodes add theirs up in
+# shared memory, first to the rows of their node, then of the one after, then of the one before, and
+# add sums of whole rows to memory.
+_PARTS = """
+#define WROD_UNROLL _Pragma("unroll")
+    double g[11];
+    WROD_UNROLL for (int c = 0; c < 3; ++c) {
+        g[c] = -g_e[c];
+        g[4 + c] = g_e[c] - g_f[c];
+        g[8 + c] = g_f[c];
+    }
+    g[3] = g_te;
+    g[7] = g_tf;
+    // Lower triangle; a and b are known when this is compiled.
+    auto h = [&](int a, int b) {
+        const int m = a / 4, n = b / 4, c = a % 4, d = b % 4;
+        if (c == 3 && d == 3) return m == 0 ? te_te : n == 0 ? te_tf : tf_tf;
+        if (c == 3) return m == 0 ? -e_te[d] : n == 0 ? -e_tf[d] : e_tf[d] - f_tf[d];
+        if (d == 3) return n == 1 ? f_tf[c] : m == 1 ? e_te[c] - f_te[c] : f_te[c];
+        const double e_e = ee.data[c][d], f_e = ef.data[d][c], f_f = ff.data[c][d];
+        if (m == 2) return n == 2 ? f_f : n == 1 ? f_e - f_f : -f_e;
+        if (m == 1) return n == 1 ? e_e - ef.data[c][d] - f_e + f_f : f_e - e_e;
+        return e_e;
+    };
+    double* gradients = (double*)((char*)gradient.data + (size_t)r * gradient.strides[0]);
+    double* hessians = (double*)((char*)hessian.data + (size_t)r * hessian.strides[0]);
+#if defined(__CUDA_ARCH__)
+    auto add = [](double* place, double value) {
+        asm volatile("red.global.add.f64 [%0], %1;"
+                     ::"l"(__cvta_generic_to_global(place)), "d"(value));
+    };
+    if (together) {
+        // Of node i - 1 of the first lane to node i + 1 of the last, an odd number of them apart.
+        const int NODES = 34, ROW = 45, SIDE = 5;
+        __shared__ double rows[NODES * ROW];
+        __shared__ double sides[NODES * SIDE];
+        const int lane = threadIdx.x % 32;
+        double* own = rows + ROW * (lane + 1);
+        double* side = sides + SIDE * (lane + 1);
+        for (int k = lane; k < ROW; k += 32) rows[k] = rows[ROW * (NODES - 1) + k] = 0.0;
+        if (lane < SIDE) sides[lane] = sides[SIDE * (NODES - 1) + lane] = 0.0;
+        WROD_UNROLL for (int c = 0; c < 4; ++c) {
+            side[c] = there ? g[4 + c] : 0.0;
+            if (order == 2) {
+                WROD_UNROLL for (int k = 0; k < 11; ++k)
+                    own[11 * c + k] = k <= 4 + c && there ? h(4 + c, 4 + c - k) : 0.0;
+            }
+        }
+        __syncwarp();
+        if (there) {
+            WROD_UNROLL for (int c = 0; c < 3; ++c) {
+                side[SIDE + c] += g[8 + c];
+                if (order == 2) {
+                    WROD_UNROLL for (int k = 0; k <= 8 + c; ++k)
+                        own[ROW + 11 * c + k] += h(8 + c, 8 + c - k);
+                }
+            }
+        }
+        __syncwarp();
+        if (there) {
+            WROD_UNROLL for (int c = 0; c < 4; ++c) {
+                side[c - SIDE] += g[c];
+                if (order == 2) {
+                    WROD_UNROLL for (int k = 0; k <= c; ++k) own[11 * c + k - ROW] += h(c, c - k);
+                }
+            }
+        }
+        __syncwarp();
+        const int first = i - lane - 1;
+        for (int k = lane; k < 4 * NODES; k += 32) {
+            const double value = sides[SIDE * (k / 4) + k % 4];
+            if (value != 0.0) add(gradients + 4 * first + k, value);
+        }
+        if (order == 2) {
+            for (int k = lane; k < 44 * NODES; k += 32) {
+                const double value = rows[ROW * (k / 44) + k % 44];
+                if (value != 0.0) add(hessians + 44 * first + k, value);
+            }
+        }
+        return;
+    }
+#else
+    auto add = [](double* place, double value) { *place += value; };
+#endif
+    if (!there) return;
+    WROD_UNROLL for (int c = 0; c < 11; ++c) {
+        add(gradients + 4 * i - 4 + c, g[c]);
+        if (order == 2) {
+            WROD_UNROLL for (int k = 0; k <= c; ++k)
+                add(hessians + 11 * (4 * i - 4 + c) + k, h(c, c - k));
+        }
+    }
+"""
+
+
+@wp.func_native(_PARTS)
+def add_parts(
+    r: int,
+    i: int,
+    there: bool,
+    together: bool,
+    order: int,
+    # With respect to the edges before (e) and after (f) node i, and to their angles; `ef` has rows
+    # of e, and of mixed derivatives the first letter is the edge, the second that of the angle.
+    g_e: wp.vec3d,
+    g_f: wp.vec3d,
+    g_te: wp.float64,
+    g_tf: wp.float64,
+    ee: wp.mat33d,
+    ef: wp.mat33d,
+    ff: wp.mat33d,
+    e_te: wp.vec3d,
+    f_te: wp.vec3d,
+    e_tf: wp.vec3d,
+    f_tf: wp.vec3d,
+    te_te: wp.float64,
+    te_tf: wp.float64,
+    tf_tf: wp.float64,
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+):
+    """Add derivatives of the stencil of node i to a rod's gradient, and to its Hessian if `order`
+    is 2; where it is not `there` nothing of its own. With `together` a whole warp comes here, each
+    lane with the node after that of the lane before."""
+    ...
+
+
 @wp.func
 def add_vector(gradient: wp.array2d(dtype=wp.float64), r: int, a: int, v: wp.vec3d):
     for c in range(3):

@@ -17,13 +17,7 @@ as much as computing.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import (
-    add_angle_hessian,
-    add_component,
-    add_edge_gradient,
-    add_edge_hessian,
-    add_number,
-)
+from wrod.kernels.elastic.assembly import add_number, add_parts
 from wrod.kernels.elastic.curvature import (
     Component,
     Stencil,
@@ -242,41 +236,40 @@ def add_stencil(
     f: wp.vec3d,
     e_e: wp.mat33d,
     f_f: wp.mat33d,
+    there: bool,
+    together: bool,
     order: int,
     # Out:
     energy_out: wp.array(dtype=wp.float64),
     gradient_out: wp.array2d(dtype=wp.float64),
     hessian_out: wp.array3d(dtype=wp.float64),
 ):
-    """Add bending and twisting at node i to the rod's energy and its derivatives."""
+    """Add bending and twisting at node i to the rod's energy and its derivatives; nothing where
+    it is not `there`. `together`: see `add_parts`."""
     inv_e = ONE / s.length_e
     inv_f = ONE / s.length_f
-    if energy_out.shape[0] > 0:
+    if there and energy_out.shape[0] > 0:
         add_number(energy_out, r, bend.energy + energy + twist.energy)
     g_e = inv_e * bend.g_e + twist.moment * twist.e + e
     g_f = inv_f * bend.g_f + twist.moment * twist.f + f
-    add_edge_gradient(gradient_out, r, i, g_e, g_f)
-    add_component(gradient_out, r, 4 * i - 1, bend.g_te - twist.moment)
-    add_component(gradient_out, r, 4 * i + 3, bend.g_tf + twist.moment)
+    b = twist.stiffness
+    ee = wp.mat33d()
+    ef = wp.mat33d()
+    ff = wp.mat33d()
     if order == 2:
-        b = twist.stiffness
         twist_ee, twist_ef, twist_ff = twisting_hessian(s, twist)
-        ee = (inv_e * inv_e) * bend.ee + e_e
-        ef = (inv_e * inv_f) * bend.ef
-        ff = (inv_f * inv_f) * bend.ff + f_f
-        add_edge_hessian(hessian_out, r, i, ee + twist_ee, ef + twist_ef, ff + twist_ff)
-        add_angle_hessian(
-            hessian_out,
-            r,
-            i,
-            inv_e * bend.e_te - b * twist.e,
-            inv_f * bend.f_te - b * twist.f,
-            inv_e * bend.e_tf + b * twist.e,
-            inv_f * bend.f_tf + b * twist.f,
-            bend.te_te + b,
-            bend.te_tf - b,
-            bend.tf_tf + b,
-        )
+        ee = (inv_e * inv_e) * bend.ee + e_e + twist_ee
+        ef = (inv_e * inv_f) * bend.ef + twist_ef
+        ff = (inv_f * inv_f) * bend.ff + f_f + twist_ff
+    add_parts(
+        r, i, there, together, order,
+        g_e, g_f, bend.g_te - twist.moment, bend.g_tf + twist.moment,
+        ee, ef, ff,
+        inv_e * bend.e_te - b * twist.e, inv_f * bend.f_te - b * twist.f,
+        inv_e * bend.e_tf + b * twist.e, inv_f * bend.f_tf + b * twist.f,
+        bend.te_te + b, bend.te_tf - b, bend.tf_tf + b,
+        gradient_out, hessian_out,
+    )  # fmt: skip
 
 
 def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
@@ -315,19 +308,24 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
         may be one that stands for a viscous material in a step.
 
         Every inner node adds the stretching of the edge before it, the last that after it as well.
+        Launched over (rod, inner node), on a GPU in blocks of a warp that lie within one rod.
         """
         r, j = wp.tid()
         if active[r] == 0:
             return
-        i = j + 1
-        last = i == stretching_stiffness.shape[1] - 1
+        edges = stretching_stiffness.shape[1]
+        # Lanes beyond the rod, and those at a cut, help the others to add.
+        i = wp.min(j + 1, edges - 1)
+        last = i == edges - 1
+        there = j + 1 == i
         if bending_stiffness[r, i][0] == ZERO:  # at a cut
-            for e in range(i - 1, wp.where(last, i + 1, i)):
-                add_stretching(
-                    rest_length, stretching_stiffness, dof_in, r, e, order,
-                    energy_out, gradient_out, hessian_out,
-                )  # fmt: skip
-            return
+            if there:
+                for e in range(i - 1, wp.where(last, i + 1, i)):
+                    add_stretching(
+                        rest_length, stretching_stiffness, dof_in, r, e, order,
+                        energy_out, gradient_out, hessian_out,
+                    )  # fmt: skip
+            there = False
         s = stencil(dof_in, director_in, r, i)
         rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
         bend = bending(
@@ -351,8 +349,8 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
             g_f += after.gradient
             ff += after.hessian
         add_stencil(
-            r, i, s, bend, twist, energy, before.gradient, g_f, before.hessian, ff, order,
-            energy_out, gradient_out, hessian_out,
+            r, j + 1, s, bend, twist, energy, before.gradient, g_f, before.hessian, ff,
+            there, True, order, energy_out, gradient_out, hessian_out,
         )  # fmt: skip
 
     return elasticity

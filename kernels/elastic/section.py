@@ -91,8 +91,8 @@ def make_section_energy(response: wp.Function, numbers: type) -> wp.Kernel:
         no_force = wp.vec3d(ZERO, ZERO, ZERO)
         no_stiffness = wp.mat33d()
         add_stencil(
-            r, i, s, bend, twist, ZERO, no_force, no_force, no_stiffness, no_stiffness, order,
-            energy_out, gradient_out, hessian_out,
+            r, i, s, bend, twist, ZERO, no_force, no_force, no_stiffness, no_stiffness,
+            True, False, order, energy_out, gradient_out, hessian_out,
         )  # fmt: skip
         if order == 2:
             for k in range(2):

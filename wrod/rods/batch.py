@@ -236,11 +236,15 @@ class RodBatch(BatchArrays):
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
         terms = [(softened_elasticity if self.softens else elasticity, model or self.elastic_model)]
         terms += [(softened_elasticity, self.layer_model(layer)) for layer in self.layers]
+        size = lanes(self.device)
         for kernel, numbers in terms:
-            launch(
+            wp.launch(
                 kernel,
-                nodes - 2,
-                [*numbers, active, state.dof, state.director, state.reference_twist, order],
+                dim=(self.rod_count, -(-(nodes - 2) // size) * size),
+                inputs=[*numbers, active, state.dof, state.director, state.reference_twist, order],
+                outputs=results,
+                device=self.device,
+                block_dim=size,
             )
         for kernel, number in self.energies:
             launch(

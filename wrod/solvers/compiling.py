@@ -15,10 +15,9 @@ from wrod.kernels.linear.two_warps import ENDS
 _WIDE = 256  # Warp's own
 # Modules of `wrod.kernels`, by the size of the blocks in which they are launched.
 _STEPS = {
-    WARP: ("stepping.pace", "stepping.newton_iteration", "linear.banded_lanes"),
+    WARP: ("stepping.pace", "stepping.newton_iteration", "linear.banded_lanes", "elastic.bending"),
     ENDS: ("linear.banded_ends",),
     _WIDE: (
-        "elastic.bending",
         "elastic.frames",
         "elastic.loads",
         "stepping.continuation",
