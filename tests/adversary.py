@@ -28,6 +28,7 @@ from pathlib import Path
 import click
 import numpy as np
 from adversary_dress import dressed
+from adversary_foreign import foreign
 from adversary_kinds import (
     MORE,
     SAME,
@@ -88,7 +89,7 @@ class Campaign:
     def drawn(self, seed: int, number: int, only: str = "") -> tuple[str, list[str], dict | str]:
         """What is broken, the words of the call, and what is around it."""
         draw = random.Random(f"{seed} {number}")
-        if draw.random() < 0.2:
+        if draw.random() < 0.3:
             return self._of_kinds(draw, number, only)
         slots = [slot for slot in self.slots if slot[0].startswith(only)]
         # Every option in turn, so that none is left to luck.
@@ -115,10 +116,11 @@ class Campaign:
         name = names[number % len(names)]
         words, command = list(draw.choice([VALID[name], *MORE.get(name, [])])), self.commands[name]
         how = draw.choice(["combined", "combined", "doubled", "structured", "odd name", "dressed",
-                           "happening", "happening"])  # fmt: skip
+                           "foreign", "foreign", "foreign", "happening", "happening"])  # fmt: skip
         given, around = (draw, words, self.files, self.folder), None
         found = structured(*given) if how == "structured" else None
         found = odd_name(*given) if how == "odd name" else found
+        found = foreign(*given) if how == "foreign" else found
         if how == "doubled":
             found = doubled(draw, words, command, self.files)
         elif how == "happening":
@@ -333,7 +335,7 @@ def _begins(kind: str, names: list[str]) -> str:
 def _broken(row: tuple) -> str:
     """What is broken, of a few words."""
     kind = row[1].removeprefix(f"{_begins(row[1], sorted(commands(), key=len, reverse=True))} ")
-    for how in ("combined", "doubled", "structured", "odd name", "dressed", "happening"):
+    for how in ("combined", "doubled", "structured", "odd name", "dressed", "foreign", "happening"):
         if kind.startswith(how):
             return how
     beginnings = {"--out": "output", "--usd": "output", "--": "option", "argument": "argument"}
