@@ -38,7 +38,8 @@ MORE = {
     ],
     "laid": [
         ["{line.npz}", "--pattern", "line", "--trajectory", "{plan.npz}", "--rod", "{rod.json}",
-         "--iterations", "1", "--table", "{out}.table.json", "--out", "{out}.json"],
+         "--iterations", "1", "--fit-friction", "--table", "{out}.table.json", "--out",
+         "{out}.json"],
     ],
     "show": [["{points.svg}", "--rod", "{rod.json}", "--out", "{out}.png"]],
     "identify": [["{motion.npz}", "--effect", "quadratic_drag", "--out", "{out}"]],
