@@ -51,10 +51,10 @@ class Places:
 
     def field(self, coefficients: np.ndarray) -> FrictionField:
         """What coefficients (count,) say of the table."""
-        low, high = self._points.min(axis=0), self._points.max(axis=0)
-        ends = np.stack([low - _BEYOND * _REACH, high + _BEYOND * _REACH])
-        counts = np.ceil((ends[1] - ends[0]) / _GRID).astype(int) + 1
-        x, y = (np.linspace(*ends[:, k], counts[k]) for k in range(2))
+        low = self._points.min(axis=0) - _BEYOND * _REACH
+        high = self._points.max(axis=0) + _BEYOND * _REACH
+        counts = np.ceil((high - low) / _GRID).astype(int) + 1
+        x, y = (np.linspace(low[k], high[k], counts[k]) for k in range(2))
         grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         factor = np.exp(self._alike(grid) @ (self._weights @ coefficients))
         return FrictionField(factor.reshape(len(y), len(x)), (x[0], x[-1]), (y[0], y[-1]))
