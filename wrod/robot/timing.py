@@ -1,9 +1,9 @@
 """When the arm is where: a slow, jerk-limited run along a joint path (Ruckig)."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from scipy.interpolate import PPoly
 
 from wrod.errors import RobotError
 from wrod.robot.model import Robot
@@ -25,12 +25,12 @@ class Timing:
     duration: float
     speed: float
     load: tuple[float, float, float]
-    _profile: Any
+    _profile: PPoly
 
     def travel(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Travel (K,) [m] and its rate (K,) [m/s] at times (K,) [s]; at rest after the end."""
-        states = [self._profile.at_time(t) for t in np.clip(time, 0.0, self.duration)]
-        return tuple(np.array([[s[0][0], s[1][0]] for s in states]).T)
+        time = np.clip(time, 0.0, self.duration)
+        return self._profile(time), self._profile(time, 1)
 
     def time_of(self, travel: np.ndarray) -> np.ndarray:
         """Times (K,) [s] at which the run passes the points `travel` (K,) [m]."""
@@ -70,10 +70,11 @@ def schedule(robot: Robot, spline, length: float, grip_speed: float = GRIP_SPEED
         profile = _profile(length, limits)
         factors = _slowdown(robot, spline, profile, limits[2])
     load = (float(factors[0]), float(factors[1] ** 2), float(factors[2] ** 3))
-    return Timing(float(profile.duration), float(limits[0]), load, profile)
+    return Timing(float(profile.x[-1]), float(limits[0]), load, profile)
 
 
-def _profile(length: float, limits: np.ndarray):
+def _profile(length: float, limits: np.ndarray) -> PPoly:
+    """Travel [m] over time [s], from rest to rest: a cubic of each of Ruckig's phases."""
     import ruckig
 
     request = ruckig.InputParameter(1)
@@ -83,17 +84,21 @@ def _profile(length: float, limits: np.ndarray):
     result = ruckig.Ruckig(1).calculate(request, profile)
     if result not in (ruckig.Result.Working, ruckig.Result.Finished):
         raise RobotError(f"no run of {length:.3f} m along the path ({result})")
-    return profile
+    ((phases,),) = profile.profiles
+    lasts = np.array(phases.t) > 0.0
+    terms = np.array([phases.j, phases.a[:-1], phases.v[:-1], phases.p[:-1]])[:, lasts]
+    ends = np.cumsum(np.array(phases.t)[lasts])
+    return PPoly(terms / np.array([[6.0], [2.0], [1.0], [1.0]]), np.concatenate([[0.0], ends]))
 
 
-def _slowdown(robot: Robot, spline, profile, jerk: float) -> tuple[float, float, float]:
+def _slowdown(robot: Robot, spline, profile: PPoly, jerk: float) -> tuple[float, float, float]:
     """Time stretch that each kind of limit asks for (1 where a joint is exactly at it).
 
     `jerk` bounds that of the profile everywhere, so the joints' jerk is bounded too.
     """
-    times = np.linspace(0.0, profile.duration, max(2000, int(200 * profile.duration)))
-    rows = np.array([[c[0] for c in profile.at_time(t)[:3]] for t in times])
-    u, du, ddu = rows.T
+    duration = profile.x[-1]
+    times = np.linspace(0.0, duration, max(2000, int(200 * duration)))
+    u, du, ddu = (profile(times, order) for order in range(3))
     first, second, third = (spline(u, order) for order in (1, 2, 3))
     velocity = np.abs(first * du[:, None])
     acceleration = np.abs(second * du[:, None] ** 2 + first * ddu[:, None])
