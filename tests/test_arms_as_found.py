@@ -155,7 +155,8 @@ def test_meshes_are_measured_as_they_are_where_capsules_doubt(tmp_path):
 
 @pytest.fixture(scope="module")
 def line():
-    return wrod.plan(wrod.pattern("line"), wrod.rod("green-vps"), method="numeric", device="cpu")
+    green = wrod.rod("green-vps")
+    return wrod.plan(wrod.pattern("line"), green, "numeric", spacing=0.01, device="cpu")
 
 
 def obstacles(tmp_path, **entry):
@@ -166,7 +167,7 @@ def obstacles(tmp_path, **entry):
 
 def test_the_hanging_rod_keeps_clear_of_what_the_arm_would_miss(tmp_path, line):
     place = Placement(0.35, -0.25, -0.3, 0.0)
-    foot = (line.contact @ place.base_from_world[:3, :3].T + place.base_from_world[:3, 3])[100]
+    foot = (line.contact @ place.base_from_world[:3, :3].T + place.base_from_world[:3, 3])[25]
     post = obstacles(tmp_path, size=[0.02, 0.02, 0.12], xyz=[foot[0], foot[1], -0.24])
     with pytest.raises(RobotError, match=r"the hanging rod comes within \d+ mm of an obstacle at"):
         wrod.solve_joint_path(line, "ur5e", place, obstacles=post)
@@ -206,6 +207,6 @@ def test_an_obstacle_in_the_way_is_named_and_one_beside_is_kept_clear_of(
     # By points on the capsules of both, densely.
     u = np.linspace(0.0, 1.0, 9)[:, None]
     wall_points = (starts[:, None] * (1 - u) + ends[:, None] * u).reshape(-1, 3)
-    mine = (a[:, :, None] * (1 - u) + b[:, :, None] * u)[::20, model.depth >= 1]
+    mine = (a[:, :, None] * (1 - u) + b[:, :, None] * u)[::5, model.depth >= 1]
     gap = np.linalg.norm(mine[..., None, :] - wall_points, axis=-1).min((0, 2, 3))
     assert (gap - model.radius[model.depth >= 1] - radii.max()).min() > 0.0

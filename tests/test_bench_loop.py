@@ -37,7 +37,7 @@ def test_loop_is_closed(tmp_path, controllers):
     args = ["bench", "loop", "--out", str(tmp_path), "--json", "--trials", "16"]
     args += ["--pattern", "letter-U", "--effect", "natural_curvature", "--curvature", "5"]
     args += ["--candidate", "natural_curvature", "--candidate", "stiffness"]
-    args += ["--spacing", "0.008", "--speed", "0.05", "--friction", "1.0"]
+    args += ["--spacing", "0.01", "--speed", "0.05", "--friction", "1.0"]
     if "network" in controllers:
         args += ["--grasps", "1000", "--steps", "2000"]
     args += [part for name in controllers for part in ("--controller", name)]

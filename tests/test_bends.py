@@ -1,5 +1,7 @@
 """Reef and granny knots of two rods: their shapes, their names, and how they take a pull."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -16,9 +18,15 @@ from wrod.solvers.contact import Friction
 PAIR = [wrod.rod("green-vps"), wrod.rod("pink-vps-thick")]
 
 
+@cache
+def shape(name: str):
+    """Centrelines of the bend, and arc lengths; each is found once."""
+    return bend(name, PAIR)
+
+
 @pytest.mark.parametrize("name", BENDS)
 def test_shapes_are_what_they_are_called(name):
-    lines, arcs = bend(name, PAIR)
+    lines, arcs = shape(name)
     assert recognise_pair(*lines).name == name
     for line, arc, rod in zip(lines, arcs, PAIR, strict=True):
         assert line[:, 2].min() == pytest.approx(rod.radius, abs=1e-6)
@@ -32,7 +40,7 @@ def test_turned_ends_do_not_hide_a_knot_and_show_no_other(turn):
     """A knot that is pulled tight turns the legs on one side about each other."""
     shown = {}
     for name in BENDS:
-        one, other = (line[::6].copy() for line in bend(name, PAIR)[0])
+        one, other = (line[::6].copy() for line in shape(name)[0])
         part = np.clip((-one[:, 0] - 0.08) / 0.1, 0.0, 1.0)
         one = Rotation.from_euler("x", np.radians(turn) * part[:, None]).apply(one)
         shown[name] = recognise_pair(one, other)

@@ -101,6 +101,7 @@ def test_unwritable_output_is_one_sentence(tmp_path):
 
 def test_main_command_ends_in_joint_path_scene_and_picture(tmp_path):
     arguments = ["plan", "letter-C", "--rod", "green-vps", "--no-expect", "--out", str(tmp_path)]
+    arguments += ["--spacing", "0.005"]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
     names = {"trajectory.csv", "trajectory.npz", "preview.png", "joint_path.csv"}

@@ -76,7 +76,7 @@ def test_base_model_agrees_with_the_continuum():
 def test_an_effect_of_our_own_invention_is_found():
     pull = Experiment(force=lambda s: np.array([[0.0], [0.02], [0.0]]) * around(s, 0.31, 0.004))
     report = identify(
-        made(pull, trials=8), candidates=[Thread(), "natural_curvature", "gravity_tilt"]
+        made(pull, trials=6), candidates=[Thread(), "natural_curvature", "gravity_tilt"]
     )
     assert report.verdict == "explained"
     assert [e.name for e in report.effects] == ["thread"]
