@@ -101,10 +101,11 @@ def moved(hidden=None, rods=8, seed=1, rate=RATE):
     return motion_from_arrays(data)
 
 
-def traced(m, viscous=0.0):
+def traced(m, viscous=0.0, law=()):
     known = effects("motion")
-    base = Model(tuple(known[name] for name in ("stiffness", "air_damping", "internal_damping")))
-    values = np.array([STIFFNESS, DRAG, viscous])
+    names = ("stiffness", "air_damping", "internal_damping", *(["softening"] if law else []))
+    base = Model(tuple(known[name] for name in names))
+    values = np.array([STIFFNESS, DRAG, viscous, *law])
     return trace_motion(m, base, values, range(m.recording_count), 0)
 
 
@@ -136,6 +137,14 @@ def test_the_model_that_made_a_motion_lacks_nothing(traces):
     assert np.median(damped.force.size) < 0.02
     viscous = named(damped, "moment_with_strain_rate")
     assert np.abs(viscous.value).max() < 0.15 * VISCOUS
+
+
+def test_a_rod_that_softens_lacks_nothing_by_its_own_law():
+    law = [np.log(6.0), 0.6]
+    m = moved((effects("motion")["softening"], law), rods=4)
+    with_law, without = traced(m, VISCOUS, law), traced(m, VISCOUS)
+    assert np.median(with_law.force.size) < 0.02
+    assert np.median(without.force.size) > 0.1
 
 
 def test_recordings_too_short_to_tell_accelerations_have_no_trace(recordings=3, frames=12):

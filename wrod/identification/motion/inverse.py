@@ -17,6 +17,7 @@ import warp as wp
 
 from wrod.identification.effect import Model
 from wrod.identification.motion.data import MotionMeasurements
+from wrod.identification.motion.layout import rods_on_mesh
 from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.smoothing import sampled_frames, smoothed, smoothing
 from wrod.identification.motion.start import held_ends
@@ -194,17 +195,7 @@ def _batch(setup, path, device) -> RodBatch:
     loads = a["mass"][:, None] * (a["gravity"] - path.acceleration) - drag * path.velocity
     _, tangent, _, director = held_ends(path.windows, setup, 1)
     path.grip_tangent, path.grip_director = np.real(tangent[:, 1]), np.real(director[:, 1])
-    batch = RodBatch(
-        path.position,
-        stretching_stiffness=a["stretching"],
-        bending_stiffness=a["stiffness"][None, :, :2],
-        twisting_stiffness=a["stiffness"][:, 2],
-        natural_curvature=a["rest_strain"][:, :2],
-        natural_twist=a["rest_strain"][:, 2],
-        point_load=loads,
-        director=path.grip_director[:, 0],
-        device=device,
-    )
+    batch = rods_on_mesh(a, path.position, path.grip_director[:, 0], loads, device)
     places = tuple(int(i) for i in setup.marker_node)
     prescribe(batch, clamped_nodes=places, clamped_angles=(0, -1))
     state = batch.state

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from wrod.identification.motion.layout import rods_on_mesh
 from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.start import first_nodes, held_ends
 from wrod.identification.motion.tangents import SPIN_INERTIA, Tangents, kind_of, node_columns
 from wrod.identification.motion.windows import Windows
 from wrod.kernels.stepping import motion as kernels
 from wrod.kernels.stepping.viscosity import measure_strains
-from wrod.rods.batch import RodBatch
 from wrod.rods.state import RodState
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.statics import EquilibriumSolver, prescribe
@@ -125,9 +125,17 @@ class MotionRun:
             wp.array(np.ascontiguousarray(a), dtype=wp.vec3d, device=device)
             for a in (nodes, grip_t, grip_m1)
         )
-        self.batch = _batch(
-            values, self.first[:, 1], grip_m1[:, self.substeps, 0], solver.free_roll, device
+        self.batch = rods_on_mesh(
+            values,
+            self.first[:, 1],
+            grip_m1[:, self.substeps, 0],
+            values["mass"][:, None] * values["gravity"],
+            device,
+            rest_length=values["rest_length"],
+            node_mass=values["mass"],
         )
+        angles = () if solver.free_roll else (0, -1)
+        prescribe(self.batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=angles)
         frames = w.held.shape[1]
         self.last = (frames - 1) * self.substeps
         self.place = wp.array(setup.marker_node[1:-1].astype(np.int32), dtype=wp.int32)
@@ -264,24 +272,3 @@ class MotionRun:
             value = np.ascontiguousarray(value, dtype=float)
             out[key] = wp.array(value, dtype=kind_of(key), device=self.device)
         return out
-
-
-def _batch(values, position, director, free_roll: bool, device: str) -> RodBatch:
-    stiffness, rest = values["stiffness"], values["rest_strain"]
-    batch = RodBatch(
-        position,
-        rest_length=values["rest_length"],
-        stretching_stiffness=values["stretching"],
-        bending_stiffness=stiffness[None, :, :2],
-        twisting_stiffness=stiffness[None, :, 2],
-        natural_curvature=rest[None, :, :2],
-        natural_twist=rest[None, :, 2],
-        softening=values["softening"],
-        node_mass=values["mass"],
-        # Weight and other forces per mass may change along the rod.
-        point_load=values["mass"][:, None] * values["gravity"],
-        director=director,
-        device=device,
-    )
-    prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=() if free_roll else (0, -1))
-    return batch
