@@ -17,8 +17,9 @@ from wrod.solvers.dynamics import Dynamics
 _SINKING = 1.0 / 600.0
 _SINKING_AT_POSTS = _SINKING / 10.0
 # Newton's iterations of a step. Those that converge take four; where nodes come to stick, slide or
-# touch in turn more do not help, and half the step does.
-_ITERATIONS = 6
+# touch in turn more do not help, and half the step does. Tighter tolerances than usual take more,
+# lest rods that differ by next to nothing are laid in other steps.
+_ITERATIONS, _USUAL_TOLERANCE = 6, 1e-6
 
 
 def assemble(
@@ -65,7 +66,7 @@ def assemble(
         ),
         force_scale=load,
         tolerance=tolerance,
-        max_iterations=_ITERATIONS,
+        max_iterations=_ITERATIONS if tolerance >= _USUAL_TOLERANCE else 2 * _ITERATIONS,
         keeps_recording=keeps_recording,
     )
     return batch, contact, dynamics
