@@ -498,8 +498,7 @@ CALLS = {
         dict(
             trials=[wrod.Trial(line(), vps(), path(), wrod.Friction(0.5))], hold=0.05,
             release=None, speed=0.2, spacing=0.05, node_count=None, step=0.05, scheme="euler",
-            air_damping=None, internal_damping=None, tolerance=1e-4, frame_interval=None,
-            device="cpu", threads=None, progress=None,
+            tolerance=1e-4, frame_interval=None, device="cpu", threads=None, progress=None,
         ),
     ),
     "RodBatch": lambda: (wrod.RodBatch, batch()),

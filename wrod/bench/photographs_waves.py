@@ -70,7 +70,12 @@ class Mechanism:
             s = np.linspace(0.0, rod.length, 120)
             bend = self.wave * np.cos(2.0 * np.pi * (s - _PHASE) / _WAVE)
             rod = replace(rod, natural_curvature=(Profile(tuple(bend), tuple(s)), Profile((0.0,))))
-        return rod
+        # Slow laying does not swing; what swings is damped as a rope in air is.
+        return replace(rod, air_damping=0.3) if self.fast else rod
+
+    @property
+    def fast(self) -> bool:
+        return self.speed > 0.05
 
     def path(self, photograph: LaidPhotograph, rod: RodMaterial) -> Trajectory:
         path = plan_without_lead_in(photograph.pattern, rod, "intuitive")
@@ -214,15 +219,12 @@ def _lay(photograph: LaidPhotograph, group: list[Mechanism], device: str) -> lis
         rod = one.rod(photograph.rod)
         trial = Trial(photograph.pattern, rod, path, law, tail=Tail.none(path), another_rod=True)
         trials.append(trial)
-    fast = group[0].speed > 0.05
     laid = simulate_deployments(
         trials,
         hold=HELD if group[0].scenario.held else 0.0,
         spacing=_SPACING,
-        step=_FAST_STEP if fast else _STEP,
+        step=_FAST_STEP if group[0].fast else _STEP,
         speed=group[0].speed,
-        # Slow laying does not swing; what swings is damped as a rope in air is.
-        air_damping=0.3 if fast else None,
         device=device,
         threads=1,
     )

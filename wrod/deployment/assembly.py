@@ -20,6 +20,8 @@ _SINKING_AT_POSTS = _SINKING / 10.0
 # touch in turn more do not help, and half the step does. Tighter tolerances than usual take more,
 # lest rods that differ by next to nothing are laid in other steps.
 _ITERATIONS, _USUAL_TOLERANCE = 6, 1e-6
+# Of rods that say nothing of it, which swing for seconds otherwise [1/s].
+_AIR_DAMPING = 1.0
 
 
 def assemble(
@@ -27,8 +29,6 @@ def assemble(
     setups: list[Setup],
     *,
     scheme: str = "euler",
-    air_damping: float | None = None,
-    internal_damping: float | None = None,
     tolerance: float = 1e-5,
     device: str = "cpu",
     keeps_recording: bool = False,
@@ -56,10 +56,8 @@ def assemble(
         scheme=scheme,
         radius=radius,
         drag=None if drag is None else np.stack([np.zeros_like(drag), drag], axis=2),
-        air_damping=np.array([_damping(air_damping, rod.air_damping or 1.0) for rod in rods]),
-        internal_damping=np.array(
-            [_damping(internal_damping, rod.internal_damping) for rod in rods]
-        ),
+        air_damping=np.array([rod.air_damping or _AIR_DAMPING for rod in rods]),
+        internal_damping=np.array([rod.internal_damping for rod in rods]),
         contact=contact,
         motion=GripMotion(
             batch, [setup.schedule for setup in setups], [rod.principal_angle for rod in rods]
@@ -82,10 +80,6 @@ def _stiffness(rods: list[RodModel], fixtures: list[Fixtures | None]) -> np.ndar
     return np.array(
         [rod.weight / (part * rod.radius) for rod, part in zip(rods, sinking, strict=True)]
     )
-
-
-def _damping(asked: float | None, own: float) -> float:
-    return own if asked is None else asked
 
 
 def _batch(trials, setups, device) -> tuple[RodBatch, list[RodModel]]:

@@ -103,8 +103,6 @@ def simulate_deployment(
     spacing=arguments.number(1e-5, 1.0),
     node_count=arguments.optional(arguments.whole(4, 100_000)),
     step=arguments.number(1e-6, 1.0),
-    air_damping=arguments.optional(arguments.number(0.0, 1e6)),
-    internal_damping=arguments.optional(arguments.number(0.0, 1e6)),
     tolerance=arguments.number(1e-15, 1.0),
     frame_interval=arguments.optional(arguments.number(1e-5, 1e6)),
     threads=arguments.optional(arguments.whole(0, 4096)),
@@ -120,8 +118,6 @@ def simulate_deployments(
     node_count: int | None = None,
     step: float = 0.01,
     scheme: str = "euler",
-    air_damping: float | None = None,
-    internal_damping: float | None = None,
     tolerance: float = 1e-5,
     frame_interval: float | None = None,
     device: str | None = "cpu",
@@ -130,6 +126,8 @@ def simulate_deployments(
     progress: Callable[[float], object] | None = None,
 ) -> list[Deployment]:
     """Simulate many deployments at once; those that diverge are flagged and the others go on.
+
+    Damping is the rods': a rod that has no `air_damping` of its own is laid with 1 /s.
 
     Args:
         trials: what to simulate.
@@ -144,9 +142,6 @@ def simulate_deployments(
             simulated together; default: what the longest needs.
         step: largest time step [s].
         scheme: "euler", "bdf2" or "midpoint".
-        air_damping: drag per mass and velocity [1/s]; default: the rod's own, or 1 where it says
-            nothing.
-        internal_damping: Kelvin-Voigt time of the material [s]; default: the rod's own.
         tolerance: of a step's residual forces, over the weight of one L_gb of rod.
         frame_interval: keep the rod's states at its multiples [s].
         device: "cpu", "cuda:0", "auto".
@@ -166,8 +161,7 @@ def simulate_deployments(
     compile_steps(device)
     setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
     options: dict[str, Any] = dict(
-        scheme=scheme, air_damping=air_damping, internal_damping=internal_damping,
-        tolerance=tolerance, device=device, friction_field=friction_field,
+        scheme=scheme, tolerance=tolerance, device=device, friction_field=friction_field,
     )  # fmt: skip
     chunks, workers = _chunks(len(trials), device, threads)
     parallel = workers > 1 and len(chunks) > 1

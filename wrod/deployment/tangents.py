@@ -105,7 +105,6 @@ def lay(
     spacing: float = 0.005,
     node_count: int | None = None,
     step: float = 0.01,
-    scheme: str = "euler",
     tolerance: float = 1e-5,
     friction_field: FrictionField | None = None,
     device: str | None = "cpu",
@@ -124,7 +123,7 @@ def lay(
         displacements: (T, 6) of each trial: displacement [m] and rotation vector [rad] of the
             trajectory's poses, their time law unchanged.
         release: as in `simulate_deployments`, for all or for each.
-        hold, speed, spacing, node_count, step, scheme, tolerance, friction_field, device: see
+        hold, speed, spacing, node_count, step, tolerance, friction_field, device: see
             `simulate_deployments`.
         watch: called now and then with the (rod,) times [s]; what it raises ends the laying.
 
@@ -145,7 +144,6 @@ def lay(
     batch, contact, dynamics = assemble(
         trials,
         setups,
-        scheme=scheme,
         tolerance=tolerance,
         device=device,
         keeps_recording=device == "cpu",
