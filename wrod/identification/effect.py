@@ -118,6 +118,13 @@ class Effect:
         """What else the effect may stand for at these values, a phrase; empty where nothing."""
         return ""
 
+    def special_cases(
+        self, values: np.ndarray, measurements: ClampedMeasurements
+    ) -> dict[str, np.ndarray]:
+        """Effects of fewer parameters that it comes near to at these values, by name, and theirs;
+        those whose parameters are among its own need not be said."""
+        return {}
+
     def describe(
         self, values: np.ndarray, covariance: np.ndarray, measurements: ClampedMeasurements
     ) -> dict[str, Estimate]:

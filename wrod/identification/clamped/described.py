@@ -93,6 +93,12 @@ class Stretch(Described):
         setup.stretching = setup.stretching * 0.5 * (factor[1:] + factor[:-1])
         setup.line_mass = setup.line_mass * (1.0 + values[1] * window)
 
+    def special_cases(self, values, measurements):
+        """What is only heavier is as good as a mass at one place, if that is short."""
+        rod, length = measurements.material, np.exp(values[3])
+        mass = values[1] * rod.weight / rod.gravity * length
+        return {"point_mass": np.array([mass, values[2] + 0.5 * length])}
+
     def doubt(self, values, covariance, measurements):
         own, length = self.describe(values, covariance, measurements), measurements.material.length
         first, last = own["start"], own["stop"]

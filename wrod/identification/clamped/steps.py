@@ -160,39 +160,42 @@ def leaner(laboratory, current: Fit, candidates, rounds: list[Round]) -> Fit:
     confounded."""
     if not rounds:
         return current
+    if len(current.model.effects) == 2:
+        tried = {frozenset(f.model.names) for r in rounds for f in r.fits}
+        pairs = [
+            (model, start)
+            for model, start in likely_pairs(laboratory, _described(candidates), _LEANER_FROM)
+            if len(start) < len(current.values) and frozenset(model.names) not in tried
+        ][:_LEANER]
+        models, starts = [model for model, _ in pairs], [start for _, start in pairs]
+        fits = best_of_each(_fit(laboratory, models, starts, None, rival=current.chi_squared))
+        _join_last(rounds, current, fits)
+        current = min([current, *fits], key=lambda f: f.bic)
     fits = _special_cases(laboratory, current, candidates)
-    _join_last(rounds, current, fits)
-    current = min([current, *fits], key=lambda f: f.bic)
-    if len(current.model.effects) != 2:
-        return current
-    tried = {frozenset(f.model.names) for r in rounds for f in r.fits}
-    pairs = [
-        (model, start)
-        for model, start in likely_pairs(laboratory, _described(candidates), _LEANER_FROM)
-        if len(start) < len(current.values) and frozenset(model.names) not in tried
-    ][:_LEANER]
-    models, starts = [model for model, _ in pairs], [start for _, start in pairs]
-    fits = best_of_each(_fit(laboratory, models, starts, None, rival=current.chi_squared))
     _join_last(rounds, current, fits)
     return min([current, *fits], key=lambda f: f.bic)
 
 
 def _special_cases(laboratory, current: Fit, candidates) -> list[Fit]:
     """Models in which an effect gives way to one that has some of its parameters and no others, as
-    a coil to a curvature: from the numbers and shapes that were found, for by itself it may not
-    have come past a fold."""
+    a coil to a curvature, or that it says it comes near to: from the numbers and shapes that were
+    found, for by itself it may not have come past a fold."""
     models, starts = [], []
-    parts = current.model.split(current.values)
-    for place, effect in enumerate(current.model.effects):
-        found = dict(zip((p.key for p in effect.parameters), parts[place], strict=True))
+    parts, own = current.model.split(current.values), current.model.effects
+    for place, (effect, part) in enumerate(zip(own, parts, strict=True)):
+        found = dict(zip((p.key for p in effect.parameters), part, strict=True))
+        cases = effect.special_cases(part, laboratory.measurements)
         for other in candidates:
             keys = [p.key for p in other.parameters]
-            if other.name in current.model.names or not set(keys) < set(found):
+            if set(keys) < set(found):
+                start = np.array([found[key] for key in keys])
+            elif other.name in cases:
+                start = cases[other.name]
+            else:
                 continue
-            now, values = list(current.model.effects), list(parts)
-            now[place], values[place] = other, np.array([found[key] for key in keys])
-            models.append(Model(tuple(now)))
-            starts.append(np.concatenate(values))
+            if other.name not in current.model.names:
+                models.append(Model((*own[:place], other, *own[place + 1 :])))
+                starts.append(np.concatenate([*parts[:place], start, *parts[place + 1 :]]))
     if not models:
         return []
     fits = fit_models(laboratory, models, starts, origin=current, race=False)
