@@ -129,3 +129,17 @@ def test_a_law_of_unknown_form_is_found_and_reported():
         k = float(key.split("_")[-3])
         true = 1.0 - (terms[:, 1] * terms[:, 0] * k**2 / (1.0 + terms[:, 0] * k**2)).sum()
         assert abs(share.value - true) < max(3.0 * share.stderr, 0.02)
+
+
+def test_a_short_heavy_stretch_comes_near_to_a_point_mass(laboratory):
+    m, base = laboratory.measurements, laboratory.base
+    stretch, s = Stretch([]), base.arc_length
+    values = np.array([0.0, 1.5, 0.2, np.log(0.05)])
+    (name, special), *others = stretch.special_cases(values, m).items()
+    assert name == "point_mass" and not others
+    heavy = Model((stretch,)).setup(base, values)
+    extra = (heavy.line_mass - base.line_mass) * np.gradient(s)
+    assert special[0] == pytest.approx(extra.sum(), rel=0.02)
+    assert special[1] == pytest.approx((extra * s).sum() / extra.sum(), abs=1e-3)
+    lump = Model((effects()[name],)).setup(base, special).node_mass - base.node_mass
+    assert np.sum(lump) == pytest.approx(special[0])
