@@ -20,11 +20,11 @@ from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Friction, FrictionField
 
 # Standard deviations of what may be wrong and nobody declared: of the logarithms of friction and
-# stiffness [-], natural curvature [1/m], and the robot's place [m].
-_DOUBT = np.array([0.5, 0.5, 3.0, 2e-3, 2e-3])
+# stiffness [-], natural curvature [1/m], and the robot's place [m] and yaw [rad].
+_DOUBT = np.array([0.5, 0.5, 3.0, 2e-3, 2e-3, 5e-3])
 # How much less sure these are at a look, in these: where all is as before, or where it changes as
 # things do. The largest change of a belief, in these.
-_DRIFT = np.array([0.1, 0.05, 0.05, 0.1, 0.1])
+_DRIFT = np.array([0.1, 0.05, 0.05, 0.1, 0.1, 0.1])
 _DRIFTS = 0.1 * _DRIFT, _DRIFT
 _MOST_CHANGE = 1.5
 # How likely it is, before anything is seen, that friction differs from place to place.
@@ -93,7 +93,7 @@ class Beliefs:
         self.told_field: FrictionField | None = None
         # In deviations: logarithms of friction and stiffness, natural curvature, offset; and what
         # friction differs by from place to place.
-        same = np.r_[np.ones(5), np.zeros(self.places.count)]
+        same = np.r_[np.ones(len(_DOUBT)), np.zeros(self.places.count)]
         chances = (same, 1.0 - _VARIES), (np.ones(len(same)), _VARIES)
         self.accounts = [Account(0.0 * same, np.diag(v), float(np.log(p))) for v, p in chances]
         # How far the robot has moved all that it does since [m], and turned it [rad].
@@ -106,25 +106,31 @@ class Beliefs:
 
     @property
     def mean(self) -> np.ndarray:
-        """(5,) without what friction differs by from place to place [deviations]."""
-        return self.account.mean[:5]
+        """(6,) without what friction differs by from place to place [deviations]."""
+        return self.account.mean[: len(_DOUBT)]
 
     @property
     def field(self) -> FrictionField | None:
         """How friction varies over the table; None: it does not."""
-        varied = self.account.mean[5:]
+        varied = self.account.mean[len(_DOUBT) :]
         return self.places.field(varied) if varied.any() else self.told_field
 
     @property
     def offset(self) -> np.ndarray:
         """(2,) of the robot, before it moved all that it does [m]."""
-        return (self.mean * _DOUBT)[3:]
+        return (self.mean * _DOUBT)[3:5]
+
+    @property
+    def yaw(self) -> float:
+        """Of the robot about the pattern's beginning, likewise [rad]."""
+        return float(self.mean[5] * _DOUBT[5])
 
     def know(self, friction: float, how: Disturbance, field: FrictionField | None) -> None:
         """Believe the truth."""
         stiffness = 3.0 * np.log1p(how.lgb_error)
         mu = np.log(friction / self.friction)
-        mean = np.array([mu, stiffness, how.natural_curvature, *how.offset]) / _DOUBT
+        mean = np.array([mu, stiffness, how.natural_curvature, *how.offset, how.yaw])
+        mean /= _DOUBT
         mean = np.pad(mean, (0, self.places.count))
         self.accounts = [replace(one, mean=mean) for one in self.accounts]
         self.told_field = field
@@ -139,7 +145,7 @@ class Beliefs:
             lgb_error=float(np.exp(stiffness / 3.0) - 1.0),
             natural_curvature=float(natural),
             offset=(float(x), float(y)),
-            yaw=float(turned),
+            yaw=self.yaw + float(turned),
         )
         law = Friction(float(self.friction * np.exp(mu)))
         return Trial(self.pattern, self.rod, path, law, how, Tail.none(path))
@@ -179,15 +185,20 @@ class Beliefs:
         standard error (n,) of its logarithm."""
         modes = self.places.modes(arc_length)
         matrix = np.zeros((len(modes), len(self.account.mean)))
-        matrix[:, 0], matrix[:, 5:] = _DOUBT[0], modes
+        matrix[:, 0], matrix[:, len(_DOUBT) :] = _DOUBT[0], modes
         error = np.sqrt(np.einsum("ni,ij,nj->n", matrix, self.account.covariance, matrix))
         return self.friction * np.exp(matrix @ self.account.mean), error
 
     def felt(self, path: Trajectory, **options) -> Course[Laid]:
         """What is believed to lie, and its derivatives by all that is believed [m/deviation]."""
         laid = yield from self.lay(path, self._directions(path), **options)
-        shift = np.diag([*_DOUBT[3:], 0.0])[:2, None] + 0.0 * laid.centerline
-        return replace(laid, tangent=np.concatenate([laid.tangent[:3], shift, laid.tangent[3:]]))
+        start = self.pattern.sample(-self.pattern.remainder_length)[0][0]
+        around = laid.centerline - start - [*(self.offset + self.placed[:2]), 0.0]
+        moved = np.zeros((3, *around.shape))
+        moved[0, :, 0] = moved[1, :, 1] = 1.0
+        moved[2] = np.cross([0.0, 0.0, 1.0], around)
+        moved *= _DOUBT[3:, None, None]
+        return replace(laid, tangent=np.concatenate([laid.tangent[:3], moved, laid.tangent[3:]]))
 
     def _directions(self, path: Trajectory) -> Directions:
         """Columns of all that is believed but the offset, per deviation."""

@@ -74,6 +74,7 @@ class Look:
         lgb_error: relative, of L_gb.
         natural_curvature: [1/m].
         offset: (2,) of the robot [m].
+        yaw: of the robot [rad].
         misfit: root mean square of what was seen against what had been believed [m].
         varies: least and largest factor by which friction is believed to vary over the table.
         seconds: that it took to renew the beliefs by the pictures and the path by these [s].
@@ -86,6 +87,7 @@ class Look:
     lgb_error: float
     natural_curvature: float
     offset: tuple[float, float]
+    yaw: float
     misfit: float
     varies: tuple[float, float]
     seconds: float
@@ -245,6 +247,7 @@ def _look(
         trial.disturbance.lgb_error,
         trial.disturbance.natural_curvature,
         (float(x), float(y)),
+        beliefs.yaw,
         misfit,
         (float(factor.min()), float(factor.max())),
         seconds,

@@ -53,7 +53,7 @@ class Moment:
         """The way of a deployment that is begun anew, and where the robot places all of it then
         (3,) [m, rad]."""
         beliefs = self.beliefs
-        beliefs.placed[:2] -= beliefs.offset
+        beliefs.placed -= [*beliefs.offset, beliefs.yaw]
         _, _, way, placed = yield from self._corrected(self.way, beliefs.hold, anew=True)
         return way, placed
 
