@@ -126,7 +126,7 @@ def _looks_told(rows: list[dict]) -> list[str]:
     seconds = [look["seconds"] for look in looks]
     back = sum(look["back"] is not None for look in looks)
     return [
-        f"{len(looks)} looks took {np.median(seconds):.1f} s each (median; at most "
+        f"{len(looks)} looks took {np.median(seconds):.1f} s of a processor each (median; at most "
         f"{max(seconds):.1f}), for the beliefs and the path; the grip went back {back} times"
     ]
 

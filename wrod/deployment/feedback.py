@@ -8,7 +8,7 @@ gone wrong, and that it can be laid better, the grip goes back, lifts it, and la
 """
 
 from dataclasses import dataclass, field, replace
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -77,7 +77,7 @@ class Look:
         yaw: of the robot [rad].
         misfit: root mean square of what was seen against what had been believed [m].
         varies: least and largest factor by which friction is believed to vary over the table.
-        seconds: that it took to renew the beliefs by the pictures and the path by these [s].
+        seconds: of a processor to renew the beliefs by the pictures, and the path by these [s].
         back: laid length to which the grip went back then [m]; None: it went on.
     """
 
@@ -200,7 +200,7 @@ def following(
     path, looks = way.until(gone).path, []
     held: dict[str, Any] = {"release": gone + hold}
     laid = yield from really(path, **held)
-    began = perf_counter()
+    began = process_time()
     for picture in range(sight.pictures):
         seen, still = Seen.of(laid, gone, sight, rng), picture > 0
         misfit, _ = yield from beliefs.update(gone, path, seen, still=still, **held)
@@ -208,27 +208,27 @@ def following(
         beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
     now = Moment(beliefs, way, gone, np.zeros(2), horizon)
     way, beliefs.placed = yield from now.begun()
-    looks.append(_look(beliefs, path, gone, misfit, perf_counter() - began, None))
+    looks.append(_look(beliefs, path, gone, misfit, process_time() - began, None))
     while gone + every < way.end - 0.5 * every:
         told = spent = 0.0
         for to in np.linspace(gone, gone + every, sight.pictures + 1)[1:]:
             path, at = way.until(to).path, way.laid_at(to)
             seen = Seen.of((yield from really(path)), at, sight, rng)
-            began = perf_counter()
+            began = process_time()
             misfit, laid = yield from beliefs.update(at, path, seen)
             if known:
                 beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
                 laid = yield from beliefs.lay(path)
             aside = beside.told(laid, at, seen, to)
             told += doubted(laid, pattern, at, seen)
-            spent += perf_counter() - began
-        began = perf_counter()
+            spent += process_time() - began
+        began = process_time()
         times = sum(look.back is not None for look in looks)
         now = Moment(beliefs, way, float(to), aside, horizon)
         way, gone, back = yield from now.replanned(
             again and told > _BEYOND_NOISE and times < _MOST_TIMES
         )
-        spent += perf_counter() - began
+        spent += process_time() - began
         looks.append(_look(beliefs, path, at, misfit, spent, back))
     return Followed(way.path, (yield from really(way.path)), looks)
 
