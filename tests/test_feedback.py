@@ -37,7 +37,7 @@ def bend():
 
 def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend):
     pattern, trajectory = bend
-    off = Disturbance(offset=(0.0, 0.004))
+    off = Disturbance(offset=(0.0, 0.004), yaw=0.01)
     plant = Plant(ROD, Friction(0.6), off)
     followed = lay_with_feedback(
         pattern, ROD, trajectory, 0.6, plant, every=0.06, sight=Sight(noise=2e-4), **COARSE
@@ -52,6 +52,7 @@ def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend):
     # Seen before the free end is let go: what was held is put down again where it belongs.
     assert followed.looks[0].offset == pytest.approx((0.0, 0.004), abs=1e-3)
     assert followed.looks[-1].offset == pytest.approx((0.0, 0.004), abs=1e-3)
+    assert followed.looks[-1].yaw == pytest.approx(0.01, abs=0.003)
     assert left.mean() < 0.3 * before.mean() and left[:10].mean() < 0.3 * before[:10].mean()
 
 

@@ -31,6 +31,8 @@ _MOST_CHANGE = 1.5
 _VARIES = 0.05
 # Change of a belief up to which what is believed to lie answers linearly, in these.
 _LINEAR = 0.2
+# Residual forces that are enough for what is believed, see `lay`: what lies changes by a micrometre.
+_TOLERANCE = 1e-4
 # Points along a rod where friction by place is said to it.
 _ALONG = 400
 # What a point differs by though the beliefs are right: mesh, shaking, whatever else [m]; and how
@@ -158,7 +160,7 @@ class Beliefs:
         **options,
     ) -> Course[Laid]:
         """What is believed to lie at the end of a path."""
-        given = {"friction_field": self.field, **FINE, **options}
+        given = {"friction_field": self.field, "tolerance": _TOLERANCE, **FINE, **options}
         directions = None if columns is None else [columns]
         (laid,) = yield Asked([self.trial(path, placed)], directions, given)
         return laid
