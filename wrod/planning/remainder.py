@@ -16,8 +16,9 @@ _SPRINGS_OFF, _SLIPPERY = 0.15, 0.3
 _BEGINNING, _BEGINNING_POINTS = 6.0, 400
 # A default remainder is long enough to ask for this static friction at most...
 _REMAINDER_FRICTION = 0.25
-# ... but turns by no more than this [rad], which binds for stiff rods.
-_REMAINDER_TURN = 0.8
+# ... but turns by no more than this [rad], which binds for stiff rods, unless that is too short for
+# the friction to hold it, and one that is not turns by no more than the second.
+_REMAINDER_TURN, _HELD_TURN = 0.8, 1.7
 
 
 def prepare(
@@ -37,9 +38,10 @@ def prepare(
         if off < _SPRINGS_OFF * (1.0 - 1e-3):
             return pattern
         # A shorter remainder asks for more friction, which the metadata says; one much shorter
-        # asks for more than it saves.
+        # than a gentle one asks for more than it saves.
         wanted, room = _remainder_length(start, rod), spare - pattern.length
-        return pattern.with_remainder(min(wanted, room)) if room > 0.5 * wanted else pattern
+        enough = room > 0.5 * _gentle_length(start, rod)
+        return pattern.with_remainder(min(wanted, room)) if enough else pattern
     if remainder is True:
         if start == 0.0:
             return pattern
@@ -71,6 +73,14 @@ def free_end(pattern: Pattern, rod: RodModel | RodMaterial) -> tuple[float, floa
 
 
 def _remainder_length(curvature: float, rod: RodModel | RodMaterial) -> float:
+    """Length [m] over which the curvature grows from zero with little friction, and from whose end
+    friction holds the moment k_b kappa of what follows: mu w s^2 / 2."""
+    lgb, gentle = rod.gravito_bending_length, _gentle_length(curvature, rod)
+    held = 2.0 * lgb * np.sqrt(curvature * lgb / _SLIPPERY)
+    return float(max(gentle, held) if 0.5 * curvature * held <= _HELD_TURN else gentle)
+
+
+def _gentle_length(curvature: float, rod: RodModel | RodMaterial) -> float:
     """Length [m] over which the curvature grows from zero with little friction.
 
     The quintic smoothstep has |kappa''| <= 10 / sqrt(3) kappa / length^2, and mu_s = 2 L_gb^3
