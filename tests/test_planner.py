@@ -144,12 +144,17 @@ def test_a_beginning_that_bends_soon_gets_a_remainder_too():
     assert prepare(late, ROD, None).remainder_length == 0.0
 
 
-def test_default_remainder_asks_for_little_friction_or_turns_little():
+def test_default_remainder_asks_for_little_friction_or_is_held_or_turns_little():
     plan = wrod.plan(wrod.pattern("circle"), ROD, "intuitive")
     assert plan.metadata["required_friction"] == pytest.approx(0.25, rel=0.05)
-    plan = wrod.plan(wrod.pattern("circle"), wrod.rod("cable"), "intuitive")
+    cable, bend = replace(wrod.rod("cable"), length=2.0), 1.0 / 0.085
+    laid = wrod.plan(wrod.pattern("circle"), cable, "intuitive").metadata["remainder_length"]
+    moment = 0.5 * 0.3 * cable.weight * laid**2  # of friction 0.3 about the circle's beginning
+    assert moment == pytest.approx(cable.bending_stiffness * bend)
     # Curvature grows antisymmetrically about its half: the turn is half of length times curvature.
-    assert plan.metadata["remainder_length"] / 0.085 / 2 == pytest.approx(0.8)
+    stiff = replace(cable, gravito_bending_length=1.2 * cable.gravito_bending_length)
+    laid = prepare(wrod.pattern("circle"), stiff, None).remainder_length
+    assert 0.5 * laid * bend == pytest.approx(0.8)
 
 
 def test_default_remainder_shrinks_to_a_short_rod():
