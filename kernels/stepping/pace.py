@@ -231,24 +231,50 @@ def begin_advance(
 @wp.kernel
 def ask_on(
     # State in:
-    running: wp.array(dtype=wp.int32),
+    pace: Pace,
     most_rounds: int,
     # State in and out:
     rounds: wp.array(dtype=wp.int32),
     # State out:
     going_out: wp.array(dtype=wp.int32),
 ):
-    """Whether to take another round, and whether any rod still runs. Launched over (1, lane)."""
+    """Whether to take another round, and whether any rod still runs, and whether any starts a step.
+    Launched over (1, lane)."""
     _, lane = wp.tid()
     found = int(0)
-    for r in range(lane, running.shape[0], wp.block_dim()):
-        found += running[r]
+    starts = int(0)
+    for r in range(lane, pace.running.shape[0], wp.block_dim()):
+        found += pace.running[r]
+        starts += pace.starting[r]
     found = count_of_lanes(found)
+    starts = count_of_lanes(starts)
     if lane > 0:
         return
     going_out[0] = wp.where(found > 0 and rounds[0] < most_rounds, 1, 0)
     going_out[1] = wp.where(found > 0, 1, 0)
+    going_out[2] = wp.where(starts > 0, 1, 0)
     rounds[0] = rounds[0] + 1
+
+
+@wp.kernel
+def ask_what(
+    # State in:
+    pace: Pace,
+    # State out:
+    going_out: wp.array(dtype=wp.int32),
+):
+    """Whether any rod iterates on, and whether any has ended a step. Launched over (1, lane)."""
+    _, lane = wp.tid()
+    goes = int(0)
+    ends = int(0)
+    for r in range(lane, pace.active.shape[0], wp.block_dim()):
+        goes += pace.active[r]
+        ends += pace.accepted[r] + pace.rejected[r]
+    goes = count_of_lanes(goes)
+    ends = count_of_lanes(ends)
+    if lane == 0:
+        going_out[3] = wp.where(goes > 0, 1, 0)
+        going_out[4] = wp.where(ends > 0, 1, 0)
 
 
 @wp.kernel

@@ -179,9 +179,10 @@ class Dynamics(NewtonSteps):
         if self.rod_contact is not None:
             self.rod_contact.balance = (self.residual, self.step_tolerance)
             self.rod_contact.velocity = self.velocity
-        # Rounds since last asked; whether to take another, and whether any rod still runs.
+        # Rounds since last asked; whether to take another, and whether any rod still runs, starts
+        # a step, iterates on, has ended a step.
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
-        self._going = wp.zeros(2, dtype=wp.int32, device=device)
+        self._going = wp.zeros(5, dtype=wp.int32, device=device)
         self._goes_on = self._going[:1]  # a condition of a graph is one number
         self.keeps_recording = keeps_recording
         self._recording: tuple[tuple, object] | None = None
@@ -264,7 +265,11 @@ class Dynamics(NewtonSteps):
         while going:
             # Launches are replayed faster than they can be made, but recording costs as much as
             # taking them; the first round has compiled the kernels.
-            if graph is None and taken > 0 and (self.keeps_recording or not self._on_cpu):
+            if (
+                graph is None
+                and taken > 0
+                and (self.keeps_recording or not wp.get_device(self.batch.device).is_cpu)
+            ):
                 graph = self._record(take_round)
                 self._recording = (key, graph) if graph and self.keeps_recording else None
             self._rounds.zero_()
@@ -354,7 +359,7 @@ class Dynamics(NewtonSteps):
     def _ask(self, most: int) -> None:
         """Find out on the device whether to take another round, `most` of them at a time."""
         outputs = [self._rounds, self._going]
-        self.batch.launch_lanes(pace.ask_on, [self.running, most], outputs, rods=1)
+        self.batch.launch_lanes(pace.ask_on, [self.pace, most], outputs, rods=1)
 
     def _record(self, take_round: Callable[[], None]) -> wp.Graph | None:
         """What takes rounds until all rods are there, or for a while; asking a GPU from outside

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import warp as wp
@@ -50,6 +51,7 @@ class NewtonSteps(Steps):
     refuses_saddles: int
     _scheme: int
     _growth: float
+    _going: wp.array
 
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
@@ -61,20 +63,27 @@ class NewtonSteps(Steps):
             contact.restart(chosen)
 
     def _take_round(self, step, smallest, frames, frame_interval) -> None:
-        # A CPU's launches cost more than looking whether they have anything to do, unless they
-        # are recorded.
-        looks = self._on_cpu and not wp.get_device(self.batch.device).is_capturing
-        if not looks or self.starting.numpy().any():
-            self._begin()
+        self._where_any((self.starting,), 2, self._begin)
         self._iterate(step, smallest)
-        if not looks or self.active.numpy().any():
-            self._correct()
-        if not looks or self.accepted.numpy().any() or self.rejected.numpy().any():
-            self._finish(frames, frame_interval)
+        if self._decides:
+            self.batch.launch_lanes(pace.ask_what, [self.pace], [self._going], rods=1)
+        self._where_any((self.active,), 3, self._correct)
+        ended = (self.accepted, self.rejected)
+        self._where_any(ended, 4, lambda: self._finish(frames, frame_interval))
+
+    def _where_any(self, chosen: tuple, place: int, launch: Callable[[], None]) -> None:
+        """Launch what has something to do for chosen rods: in a recording if `_going` says so at a
+        place of it. One by one a GPU's launches cost less than asking it."""
+        if self._decides:
+            wp.capture_if(self._going[place : place + 1], launch)
+        elif not wp.get_device(self.batch.device).is_cpu or any(c.numpy().any() for c in chosen):
+            launch()
 
     @property
-    def _on_cpu(self) -> bool:
-        return wp.get_device(self.batch.device).is_cpu
+    def _decides(self) -> bool:
+        """Whether launches are being recorded for a device that looks by itself."""
+        device = wp.get_device(self.batch.device)
+        return device.is_capturing and (device.is_cpu or wp.is_conditional_graph_supported())
 
     def _begin(self) -> None:
         """Begin a step of the rods that have finished their last."""
