@@ -598,3 +598,27 @@ def test_smooth_rods_slide_over_rods(smooth):
     gone = state.der.node_q.numpy()[14:, 0].mean()
     free = 0.5 * 9.81 * np.sin(angle) * (dt * steps) ** 2
     assert gone == pytest.approx(free, rel=0.01)
+
+
+@pytest.mark.skipif("cuda" in DEVICE, reason="a GPU is not waited for")
+@pytest.mark.parametrize("name", ["node_q", "node_qd", "edge_director", "edge_spin", "body_q"])
+def test_what_is_no_number_is_refused_by_name(name):
+    builder = scene()
+    hand = builder.add_body(is_kinematic=True, label="hand")
+    for k in range(2):
+        SolverDER.add_rod(builder, straight(6, 0.1, 0.1 + k), ROD, start="clamped", start_body=hand)
+    model = builder.finalize(device=DEVICE)
+    solver, state = SolverDER(model), model.state()
+    array = getattr(state, name) if name == "body_q" else getattr(state.der, name)
+    values = array.numpy().copy()
+    values[hand if name == "body_q" else -2] = np.nan
+    array.assign(values)
+    before = state.der.node_q.numpy().copy()
+    expected = "body_q of body '.*hand'" if name == "body_q" else f"{name} of .* of rod 1"
+    with pytest.raises(RodError, match=f"{expected} is not finite"):
+        solver.step(state, state, None, None, 1e-3)
+    np.testing.assert_array_equal(state.der.node_q.numpy(), before)
+    solver.reset(state)
+    state.body_q.assign(model.body_q)
+    solver.step(state, state, None, None, 1e-3)
+    assert np.isfinite(state.der.node_q.numpy()).all()

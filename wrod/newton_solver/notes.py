@@ -3,8 +3,9 @@
 import warnings
 
 import newton
+import numpy as np
 
-from wrod.errors import WrodWarning
+from wrod.errors import RodError, WrodWarning
 
 
 def _say(text: str) -> None:
@@ -40,3 +41,38 @@ def nobody_feels(model: newton.Model, bodies) -> None:
         f"rods pull at bodies that another solver moves ({_named(model, bodies)}), which does not "
         "feel them; call add_body_forces(state) on the state that it steps from"
     )
+
+
+def refuse_what_is_no_number(
+    model: newton.Model, rods: newton.State, bodies: newton.State, moves_bodies: bool
+) -> None:
+    """Look through the states of a step, in the memory of a CPU: `rods`, and `bodies` at its end.
+
+    Raises:
+        RodError: a number that the step would use is not finite.
+    """
+    of_rods = [("node", n) for n in ("node_q", "node_qd")]
+    of_rods += [("edge", n) for n in ("edge_director", "edge_spin")]
+    for kind, name in of_rods:
+        values = getattr(rods.der, name).numpy()
+        if not np.isfinite(values).all():
+            at = int(np.argwhere(~np.isfinite(values))[0, 0])
+            first = getattr(model.der, f"rod_first_{kind}").numpy()
+            rod = int(np.flatnonzero(first <= at)[np.argmax(first[first <= at])])
+            raise RodError(
+                f"{name} of {kind} {at - int(first[rod])} of rod {rod} is not finite in the state; "
+                "give finite numbers, or reset(state)"
+            )
+    if not model.body_count:
+        return
+    given = [("body_q", bodies)]
+    if moves_bodies:
+        given += [("body_q", rods), ("body_qd", rods), ("body_f", rods)]
+    for name, state in given:
+        values = getattr(state, name).numpy()
+        if not np.isfinite(values).all():
+            at = int(np.argwhere(~np.isfinite(values))[0, 0])
+            raise RodError(
+                f"{name} of body {model.body_label[at]!r} is not finite in the state; give "
+                "finite numbers"
+            )

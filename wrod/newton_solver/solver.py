@@ -245,8 +245,9 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
                 solvers do not carry rods over into the states that they write.
 
         Raises:
-            RodError: dt is not positive, a state was made from another model, or, while a tape is
-                recorded, the step has no gradients: rods with a past, that
+            RodError: dt is not positive, a state was made from another model, or, on a CPU, holds
+                numbers that are not finite (a GPU cuts such rods out, as `diverged` and a warning
+                of the next step say), or, while a tape is recorded, the step has no gradients: rods with a past, that
                 touch anything but planes, or that hold bodies which this solver moves.
         """
         with retold_as(RodError):
@@ -256,6 +257,9 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
             nodes = getattr(getattr(state, "der", None), "node_q", None)
             if nodes is None or nodes.shape != self.model.der.node_q.shape:
                 raise RodError("the state does not hold this model's rods; call model.state()")
+        device = self.model.device
+        if device.is_cpu and not device.is_capturing:
+            notes.refuse_what_is_no_number(self.model, state_in, moved, bool(self._own.any()))
         if state_out is not moved:
             for name in _PASSED_ON:
                 source = getattr(moved, name, None)
@@ -348,7 +352,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         if new:
             warnings.warn(
                 f"rods cut out because no time step converged: {', '.join(map(str, new))}; the "
-                "others go on. Take a shorter dt, or reset(state) them",
+                "others go on. Take a shorter dt, or reset(state) them; states and poses of what "
+                "holds them must be finite",
                 WrodWarning,
                 stacklevel=3,
             )
