@@ -247,8 +247,9 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         Raises:
             RodError: dt is not positive, a state was made from another model, or, on a CPU, holds
                 numbers that are not finite (a GPU cuts such rods out, as `diverged` and a warning
-                of the next step say), or, while a tape is recorded, the step has no gradients: rods with a past, that
-                touch anything but planes, or that hold bodies which this solver moves.
+                of the next step say), or, while a tape is recorded, the step has no gradients: rods
+                with a past, that touch anything but planes, or that hold bodies which this solver
+                moves.
         """
         with retold_as(RodError):
             self.validate_observables(observables, contacts)
