@@ -118,6 +118,42 @@ def test_a_free_body_with_an_endless_plane_bears_a_cable():
     np.testing.assert_allclose(found[0], found[1], atol=1e-7)
 
 
+@pytest.mark.parametrize("flat", [True, False])
+def test_what_a_body_presses_a_cable_against_holds_it(flat):
+    """A box of 300 times the cable's weight lies on it, on the ground or on a table: the cable
+    sinks into that by a twentieth of its radius at most, and is pressed by the box's weight."""
+    builder = newton.ModelBuilder()
+    wrod.SolverDER.register_custom_attributes(builder)
+    builder.default_shape_cfg.mu = 0.5
+    if flat:
+        builder.add_ground_plane()
+    else:
+        under = wp.transform((0.0, 0.0, -0.1), wp.quat_identity())
+        builder.add_shape_box(-1, xform=under, hx=1.0, hy=1.0, hz=0.1)
+    material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.2)
+    for y in (-0.02, 0.02):
+        points = np.outer(np.linspace(-0.1, 0.1, 9), [1.0, 0.0, 0.0]) + [0.0, y, 0.004]
+        wrod.SolverDER.add_rod(builder, points, material, internal_damping=0.01)
+    box = builder.add_body(xform=wp.transform((0.0, 0.0, 0.0281), wp.quat_identity()))
+    builder.add_shape_box(box, hx=0.03, hy=0.03, hz=0.02, cfg=newton.ModelBuilder.ShapeConfig(
+        density=2e4, mu=0.5))  # fmt: skip
+    model = builder.finalize(device=DEVICE)
+    solver, state = wrod.SolverDER(model, bodies=[box]), model.state()
+    detection = newton.CollisionPipeline(model)
+    contacts = detection.contacts()
+    for _ in range(60):
+        detection.collide(state, contacts)
+        solver.step(state, state, None, contacts, 1 / 120)
+    assert not solver.diverged.any()
+    height = state.der.node_q.numpy()[:, 2]
+    assert height.min() > 0.95 * 0.004
+    assert np.abs(state.body_qd.numpy()[box]).max() < 1e-3
+    own = 9.81 * model.der.node_mass.numpy().sum()
+    pressed = state.der.node_contact_f.numpy()[:, 2]
+    assert pressed.sum() == pytest.approx(own, rel=1e-3)  # from below, less what is above
+    assert state.body_q.numpy()[box, 2] == pytest.approx(0.028, abs=5e-4)
+
+
 def test_without_contacts_it_says_so():
     scene = Plugs([(0.0, 0.0, 0.05)])
     model = scene.builder.finalize(device=DEVICE)

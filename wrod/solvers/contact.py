@@ -270,8 +270,15 @@ class Contact(OnDevice):
     def carry(self, carried: CarriedShapes, burden: np.ndarray, apart: np.ndarray) -> None:
         """Let solids move with bodies: `burden` (rod, shape) is the weight that one edge is to bear
         sunk in by a fortieth of the radius [force], `apart` (rod, shape, edge) what does not touch.
+        What stands still bears the heaviest of them through a rod.
         """
-        self._edges.carry(carried, burden, apart)
+        heaviest = burden.max(axis=1, keepdims=True)
+        self._edges.carry(carried, np.maximum(burden, np.where(burden > 0, 0, heaviest)), apart)
+        model = self._model
+        given = model.stiffness.numpy()
+        firm = np.maximum(given, 0.5 * heaviest / model.skin.numpy())
+        model.stiffness.assign(firm)
+        model.relaxation.assign(model.relaxation.numpy() * np.sqrt(given / firm))
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces and stiffness at `dof` to the batch's gradient and Hessian."""
