@@ -72,8 +72,8 @@ class NewtonSteps(Steps):
         self._where_any(ended, 4, lambda: self._finish(frames, frame_interval))
 
     def _where_any(self, chosen: tuple, place: int, launch: Callable[[], None]) -> None:
-        """Launch what has something to do for chosen rods: in a recording if `_going` says so at a
-        place of it. One by one a GPU's launches cost less than asking it."""
+        """Launch what has something to do for chosen rods: in a recording for a CPU if `_going`
+        says so at a place of it. A GPU's launches cost less than asking it."""
         if self._decides:
             wp.capture_if(self._going[place : place + 1], launch)
         elif not wp.get_device(self.batch.device).is_cpu or any(c.numpy().any() for c in chosen):
@@ -81,9 +81,9 @@ class NewtonSteps(Steps):
 
     @property
     def _decides(self) -> bool:
-        """Whether launches are being recorded for a device that looks by itself."""
+        """Whether launches are being recorded for a CPU, which looks by itself then."""
         device = wp.get_device(self.batch.device)
-        return device.is_capturing and (device.is_cpu or wp.is_conditional_graph_supported())
+        return device.is_capturing and device.is_cpu
 
     def _begin(self) -> None:
         """Begin a step of the rods that have finished their last."""
