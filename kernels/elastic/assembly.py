@@ -79,6 +79,7 @@ _PARTS = """
         const int lane = threadIdx.x % 32;
         double* own = rows + ROW * (lane + 1);
         double* side = sides + SIDE * (lane + 1);
+        __syncwarp();
         for (int k = lane; k < ROW; k += 32) rows[k] = rows[ROW * (NODES - 1) + k] = 0.0;
         if (lane < SIDE) sides[lane] = sides[SIDE * (NODES - 1) + lane] = 0.0;
         WROD_UNROLL for (int c = 0; c < 4; ++c) {
