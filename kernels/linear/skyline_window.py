@@ -186,8 +186,12 @@ ELIMINATE = """
                 factorise(d, here + 1 < W ? here + 1 : 0, pivots_of + PIVOTS * ((b + 1) % 2));
             } else {
                 WROD_WARP_WAIT();
-                WROD_UNROLL for (int c = 0; c < 4; ++c)
-                    WROD_UNROLL for (int e = 0; e <= c; ++e) diagonal[4 * c + e] = d[c][e];
+                WROD_TEAM {
+                    if (lane == 0) {
+                        WROD_UNROLL for (int c = 0; c < 4; ++c)
+                            WROD_UNROLL for (int e = 0; e <= c; ++e) diagonal[4 * c + e] = d[c][e];
+                    }
+                }
             }
         } else if (b + 1 < stop) {
             WROD_UNROLL for (int c = 0; c < 4; ++c)
