@@ -862,13 +862,17 @@ def test_only_typed_errors(name, tmp_path, monkeypatch, tried):
     valid = _defaults(function) | valid
     bad, count, refused = [], 0, 0
     draw, late = random.Random(name if FUZZ == 1 else None), time.monotonic() + LONGEST
-    share = SHARE if FUZZ == 1 else len(WRONG)
-    calls = [(one, *two) for one in valid for two in draw.sample(list(WRONG.items()), share)]
+    share = SHARE if FUZZ == 1 else len(WRONG | others())
+    wrong = list((WRONG | others()).items())
+    calls = [(one, k, {one: v}) for one in valid for k, v in draw.sample(wrong, share)]
+    pairs = list(itertools.combinations(valid, 2))
+    swapped = pairs if FUZZ > 1 else draw.sample(pairs, min(len(pairs), SHARE))
+    calls += [(a, f"and {b} swapped", {a: valid[b], b: valid[a]}) for a, b in swapped]
     draw.shuffle(calls)
-    for parameter, kind, value in calls:
+    for parameter, kind, change in calls:
         if time.monotonic() > late:
             break
-        changed = {**valid, parameter: value}
+        changed = {**valid, **change}
         places = [changed.pop(key) for key in list(changed) if key.startswith("*")]
         count += 1
         end, said, seconds = _called(function, places, changed)
@@ -881,6 +885,15 @@ def test_only_typed_errors(name, tmp_path, monkeypatch, tried):
             bad.append(f"{parameter} {kind}: {seconds:.0f} s")
     tried["wrong arguments"] = (count, refused)
     assert not bad, "\n".join(bad)
+
+
+@cache
+def others() -> dict:
+    """What is meant for another argument."""
+    return {
+        "a rod": vps(), "a model": rod_model(), "a pattern": line(), "a trajectory": path(),
+        "a friction": wrod.Friction(0.5), "a batch": rods(), "a file": files()["trajectory"],
+    }  # fmt: skip
 
 
 def _defaults(function) -> dict:

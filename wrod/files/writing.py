@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from wrod import arguments
 from wrod.errors import DataError
 
 try:
@@ -95,6 +96,7 @@ def _sweep(folder: Path) -> None:
                 os.close(handle)
 
 
+@arguments.checked(DataError)
 def suffixed(path: str | os.PathLike[str], suffix: str) -> Path:
     """The path with that suffix in place of its own.
 
@@ -103,7 +105,7 @@ def suffixed(path: str | os.PathLike[str], suffix: str) -> Path:
     """
     try:
         return Path(path).with_suffix(suffix)
-    except (TypeError, ValueError):
+    except ValueError:
         raise DataError(f"path is {path!r:.80}; give the name of a file to write") from None
 
 

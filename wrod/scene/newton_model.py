@@ -78,12 +78,20 @@ class NewtonScene:
         """The prim of a camera.
 
         Raises:
-            SceneError: the stage has no camera of that name.
+            SceneError: the stage has no camera of that name, or its field of view is none.
         """
+        from pxr import UsdGeom
+
         if name not in self.cameras:
             raise SceneError(
                 f"{self._path}: no camera {name!r}; its cameras are "
                 f"{', '.join(self.cameras) or 'none'}"
+            )
+        lens = UsdGeom.Camera(self.cameras[name]).GetCamera()
+        if not 0.0 < lens.GetFieldOfView(lens.FOVVertical) < 180.0:
+            raise SceneError(
+                f"{self._path}: camera {name!r} has a focal length of {lens.focalLength:g} and an "
+                f"aperture of {lens.verticalAperture:g}; both must be positive numbers"
             )
         return self.cameras[name]
 

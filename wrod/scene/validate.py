@@ -1,8 +1,9 @@
 """OpenUSD's own checks of a stage."""
 
 import os
+import warnings
 
-from wrod.errors import SceneError
+from wrod.errors import SceneError, WrodWarning
 from wrod.files import checked_path
 from wrod.files.reading import MIB, shown
 
@@ -14,12 +15,16 @@ def open_stage(path: str | os.PathLike[str]):
 
     Raises:
         SceneError: there is no such file, or it is not a USD stage.
+
+    Warns:
+        WrodWarning: a file or a prim that it is composed of cannot be read.
     """
-    from pxr import Tf, Usd
+    from pxr import Tf, Usd, UsdUtils
 
     checked_path(path, "a .usdc, .usda or .usd stage", error=SceneError, limit=_MOST_BYTES)
+    unprinted = UsdUtils.CoalescingDiagnosticDelegate()  # OpenUSD tells in its own words
     try:
-        return Usd.Stage.Open(os.fspath(path))
+        stage = Usd.Stage.Open(os.fspath(path))
     except Tf.ErrorException as error:
         # Its last line is "Error in ... at line ... in file ... : 'what went wrong'".
         try:
@@ -27,6 +32,13 @@ def open_stage(path: str | os.PathLike[str]):
         except UnicodeError:
             reason = "it holds text that is not UTF-8"
         raise SceneError(f"{path}: not a readable USD stage ({shown(reason, 200)})") from None
+    finally:
+        del unprinted
+    missing = stage.GetCompositionErrors()
+    if missing:
+        said = f"{path}: {len(missing)} of what it is composed of cannot be read, and is left out"
+        warnings.warn(WrodWarning(f"{said} ({shown(str(missing[0]), 200)})"), stacklevel=2)
+    return stage
 
 
 def validation_errors(path: str | os.PathLike[str]) -> list[str]:
