@@ -32,6 +32,9 @@ def segment(
     """
     if kind not in ("auto", "rod", "ink"):
         raise PerceptionError(f"kind {kind!r} is unknown; choose auto, rod or ink")
+    if color is not None:  # of NumPy, torch or Warp too
+        red, green, blue = np.asarray(color).tolist()
+        color = (red, green, blue)
     if color is not None and not (kind != "ink" and all(0 <= part <= 255 for part in color)):
         raise PerceptionError(
             f"color {tuple(color)} with kind {kind!r}: give red, green and blue from 0 to 255, of "
