@@ -1,6 +1,7 @@
 """Arms as their makers' files describe them: grippers, xacro, SRDF, meshes, what stands around."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,9 @@ from wrod.robot.collision import CollisionModel
 from wrod.robot.kinematics import grasp_poses
 from wrod.robot.model import load_robot
 from wrod.robot.obstacles import Obstacles
-from wrod.robot.placement import Placement
+from wrod.robot.placement import Placement, candidates
 from wrod.robot.urdf import read_urdf
+from wrod.scene.workplace import table_under
 
 
 def with_fingers(path):
@@ -210,3 +212,36 @@ def test_an_obstacle_in_the_way_is_named_and_one_beside_is_kept_clear_of(
     mine = (a[:, :, None] * (1 - u) + b[:, :, None] * u)[::5, model.depth >= 1]
     gap = np.linalg.norm(mine[..., None, :] - wall_points, axis=-1).min((0, 2, 3))
     assert (gap - model.radius[model.depth >= 1] - radii.max()).min() > 0.0
+
+
+def test_an_arm_in_a_world_of_its_own_is_placed_as_one_without(tmp_path, line):
+    """Files that begin with a world, a cell or a bench hold the arm somewhere in it."""
+    bare = own_arm(tmp_path)
+    held = bare.read_text().replace(
+        '<link name="k0"/>',
+        '<link name="world"/><link name="k0"/><joint name="held" type="fixed">'
+        '<parent link="world"/><child link="k0"/><origin xyz="1.5 -0.4 0.8"/></joint>',
+    )
+    (tmp_path / "held.urdf").write_text(held)
+    alone, inside = load_robot(bare), load_robot(tmp_path / "held.urdf")
+    np.testing.assert_allclose(inside.mount[:3, 3], [1.5, -0.4, 0.8])
+    places = [candidates(line, arm, 6) for arm in (alone, inside)]
+    assert places[0]
+    for one, other in zip(*places, strict=True):
+        moved = np.array([one.x + 1.5, one.y - 0.4, one.z + 0.8, one.yaw])
+        np.testing.assert_allclose([other.x, other.y, other.z, other.yaw], moved, atol=1e-9)
+    tables = [
+        table_under(line.contact, SimpleNamespace(placement=place[0], robot=arm), 0.002)
+        for place, arm in zip(places, (alone, inside), strict=True)
+    ]
+    np.testing.assert_allclose(tables[1].low, tables[0].low + [1.5, -0.4], atol=1e-9)
+    assert tables[1].floor == pytest.approx(tables[0].floor + 0.8)
+
+
+def test_of_an_arm_without_shapes_it_is_said_that_nothing_is_checked(tmp_path):
+    path = own_arm(tmp_path)
+    text = path.read_text()
+    start, end = text.index("<collision>"), text.index("</collision>") + len("</collision>")
+    path.write_text(text[:start] + text[end:])
+    with pytest.warns(wrod.errors.WrodWarning, match="no link of the arm has a collision shape"):
+        CollisionModel(load_robot(path))

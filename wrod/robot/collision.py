@@ -15,6 +15,7 @@ from wrod.errors import RobotError, WrodWarning
 from wrod.robot.capsules import capsules_of
 from wrod.robot.exact import ExactShapes
 from wrod.robot.model import Robot
+from wrod.scenes.gripper import LINKS as GRIPPER
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -60,6 +61,14 @@ class CollisionModel:
             raise RobotError(
                 f"{robot.urdf.path}: no link has a collision shape that can be read, so nothing "
                 "would keep the arm off the table; give the links <collision> elements"
+            )
+        if all(shape.link in GRIPPER for shape in self.shapes):
+            warnings.warn(
+                WrodWarning(
+                    f"{robot.urdf.path}: no link of the arm has a collision shape, so that its "
+                    "gripper alone is kept off table and rod; give the links <collision> elements"
+                ),
+                stacklevel=2,
             )
         self.shape_of = np.array(shape_of)
         self.exact = ExactShapes.of(self.shapes)

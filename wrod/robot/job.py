@@ -19,7 +19,7 @@ from wrod.robot.arm import ARM_ROOM, LINK_ROOM, Arm, gap_between
 from wrod.robot.attempt import Task, hanging_rod
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import refine, solve_poses
-from wrod.robot.placement import contact_in_base, reach
+from wrod.robot.placement import contact_in_base, foot, reach
 from wrod.robot.stand import stands, stays
 from wrod.robot.tail import LaidTail, tails
 from wrod.robot.timing import schedule
@@ -165,14 +165,16 @@ def neutral_poses(arm: Arm, task: Task, first, last, around: list) -> np.ndarray
         around: capsules in the table's frame that they keep clear of.
     """
     _, far = reach(task.robot)
-    contact = contact_in_base(task.trajectory, arm.placement).mean(0)
+    mount = foot(task.robot)
+    contact = contact_in_base(task.trajectory, arm.placement).mean(0) - mount
     ahead = np.append(contact[:2] / max(np.linalg.norm(contact[:2]), 1e-9), 0.0)
     poses = []
     for out, up, bearing in product(_OUT, _UP, _BEARINGS):
         along = Rotation.from_euler("z", bearing, degrees=True).apply(ahead)
         pose = np.eye(4)
         pose[:3, :3] = np.column_stack([np.cross(along, [0, 0, -1.0]), along, [0, 0, -1.0]])
-        pose[:3, 3] = out * far * along + [0.0, 0.0, max(up * far, arm.placement.z + 0.2)]
+        pose[:3, 3] = mount + out * far * along
+        pose[2, 3] = max(mount[2] + up * far, arm.placement.z + 0.2)
         poses.append(pose)
     lower, upper = np.maximum(arm.robot.lower, -np.pi), np.minimum(arm.robot.upper, np.pi)
     seeds = np.random.default_rng(3).uniform(0.8 * lower, 0.8 * upper, (_SEEDS, len(lower)))

@@ -4,6 +4,7 @@ import copy
 import os
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -65,18 +66,26 @@ class Robot:
 
     @property
     def table_heights(self) -> tuple[float, ...]:
-        """Heights of a table [m], from the base, that are tried in this order.
+        """Heights of a table [m], from the arm's mount, that are tried in this order.
 
         Sawyer stands on its own pedestal before the table; other arms are bolted to a stand whose
-        height is the user's to choose.
+        height is the user's to choose, and one that hangs works below its shoulder.
         """
         if self.name == "sawyer":
             return (-0.55, -0.4, -0.25)
-        return (0.0, -0.15, -0.3, -0.45)
+        return (-0.45, -0.6, -0.75, -0.9) if self.mount[2, 2] < -0.5 else (0.0, -0.15, -0.3, -0.45)
 
     def shapes(self, tag: str) -> list[LinkShape]:
         """Shapes of every link; `tag` is "visual" or "collision"."""
         return self.urdf.shapes(tag)
+
+    @cached_property
+    def mount(self) -> np.ndarray:
+        """(4, 4) pose in the base frame [m] of the link that stands still under the first joint:
+        the base itself, unless the file begins with a world or a cell that holds the arm."""
+        first = next(j for j in self.urdf.joints if j.get("name") == self.joint_names[0])
+        poses = self.link_poses(np.zeros(len(self.joint_names)))
+        return poses[first.find("parent").get("link")][0]
 
     def link_poses(self, positions: np.ndarray) -> dict[str, np.ndarray]:
         """Poses of every link in the base frame.

@@ -97,6 +97,14 @@ def reach(robot: Robot) -> tuple[np.ndarray, float]:
     return points[1], float(steps[1:].sum())
 
 
+def foot(robot: Robot) -> np.ndarray:
+    """(3,) where an arm that stands upright, and has its shoulder where this one has it, would be
+    mounted, in the base frame [m]; heights are measured from there also of an arm that hangs."""
+    mount = robot.mount
+    shoulder, _ = reach(robot)
+    return np.append(mount[:2, 3], shoulder[2] - mount[:3, 2] @ (shoulder - mount[:3, 3]))
+
+
 class Places(Protocol):
     """What is placed before an arm, such as a `wrod.Trajectory`: (n, 3) contacts with the table and
     (m, 3) positions of the hand [m]."""
@@ -129,7 +137,7 @@ def pedestal_clearance(robot: Robot) -> float:
             for start, end, radius in capsules_of(shape):
                 for point in (start, end):
                     out = pose[:3, :3] @ point + pose[:3, 3]
-                    reach = max(reach, float(abs(out[0])) + radius)
+                    reach = max(reach, float(abs(out[0] - robot.mount[0, 3])) + radius)
     return reach + PEDESTAL_ROOM - 0.02
 
 
@@ -139,28 +147,32 @@ def candidates(
     """Placements worth trying, the most central first.
 
     A grid of positions, table heights and turns is ranked by how far the grip stays from the ends
-    of the arm's reach, keeping the table off the pedestal.
+    of the arm's reach, keeping the table off the pedestal. Both are measured from where the arm
+    is mounted; the placements, and `heights`, from the base.
 
     Args:
         heights: of the table [m]; None those of the robot.
     """
     shoulder, far = reach(robot)
+    mount = foot(robot)
+    if heights is None:
+        heights = tuple(float(mount[2]) + height for height in robot.table_heights)
     clearance = pedestal_clearance(robot)
     middle = (trajectory.contact[:, :2].min(0) + trajectory.contact[:, :2].max(0)) / 2
     grid = itertools.product(
         np.arange(0.45, 0.8, 0.07) * far / 1.3,
         np.array([-0.25, -0.1, 0.05, 0.2]) * min(far / 1.3, 1.0),
-        robot.table_heights if heights is None else heights,
+        heights,
         np.arange(8) * math.pi / 4,
     )
     ranked = []
     for radius, side, height, yaw in grid:
         turned = Placement(0.0, 0.0, 0.0, yaw).base_from_world[:2, :2] @ middle
-        x, y = float(radius - turned[0]), float(side - turned[1])
+        x, y = float(mount[0] + radius - turned[0]), float(mount[1] + side - turned[1])
         placement = Placement(x, y, float(height), float(yaw))
-        contact = contact_in_base(trajectory, placement)
-        near = np.linalg.norm(contact[:, :2], axis=1).min()
-        if near < clearance + TABLE_MARGIN or contact[:, 0].min() < clearance:
+        out = contact_in_base(trajectory, placement)[:, :2] - mount[:2]
+        near = np.linalg.norm(out, axis=1).min()
+        if near < clearance + TABLE_MARGIN or out[:, 0].min() < clearance:
             continue
         pose = placement.base_from_world
         grip = trajectory.position @ pose[:3, :3].T + pose[:3, 3]

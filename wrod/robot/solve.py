@@ -139,7 +139,7 @@ def solve_joint_path(
 def _places(task: Task, fixed: Placement | None, table_height) -> list[Placement]:
     """Where the pattern may lie: at the given place, or at those that keep it within reach."""
     arm = task.robot
-    heights = arm.table_heights if table_height is None else (float(table_height),)
+    heights = None if table_height is None else (float(table_height),)
     count = _PLACES if task.obstacles is None else _MANY
     places = [fixed] if fixed else candidates(task.trajectory, arm, count, heights)
     if not places:

@@ -99,13 +99,14 @@ def park(arm: Arm, middle: np.ndarray) -> np.ndarray:
     Raises:
         RobotError: there is no such pose.
     """
-    local = (arm.placement.base_from_world @ [*middle, 1.0])[:2]
+    mount = arm.robot.mount[:2, 3]
+    local = (arm.placement.base_from_world @ [*middle, 1.0])[:2] - mount
     ahead = np.array([*local / np.linalg.norm(local), 0.0])
     poses = np.tile(np.eye(4), (len(_PARKED), 1, 1))
     for pose, (reach, height, off) in zip(poses, _PARKED, strict=True):
         along = Rotation.from_euler("z", off, degrees=True).apply(ahead)
         pose[:3, :3] = np.column_stack([np.cross(along, [0.0, 0.0, -1.0]), along, [0.0, 0.0, -1.0]])
-        pose[:3, 3] = reach * along + [0.0, 0.0, arm.placement.z + height]
+        pose[:3, 3] = reach * along + [*mount, arm.placement.z + height]
     lower, upper = np.maximum(arm.robot.lower, -np.pi), np.minimum(arm.robot.upper, np.pi)
     seeds = np.random.default_rng(3).uniform(0.8 * lower, 0.8 * upper, (_SEEDS, len(lower)))
     found, reached = solve_poses(arm.robot, poses, seeds)

@@ -198,13 +198,13 @@ def _complete(item: SimpleNamespace, number: int) -> SimpleNamespace:
     item.film = film(joint_path, item.shapes, onward, item.falls or falling(trajectory))
     item.points = _pattern_points(item.pattern, trajectory)
     item.radius = _DEFAULT_RADIUS if item.rod is None else float(item.rod.radius)
-    placement = None if joint_path is None else joint_path.placement
     rest = None if joint_path is None else item.film.shapes[-1]
-    item.table = table_under(covered(trajectory, rest), placement, item.radius)
+    item.table = table_under(covered(trajectory, rest), joint_path, item.radius)
     item.floor = float(item.table.pose[2, 3] + item.table.floor)
     item.ground = item.table.corners()[:, :2]  # what it covers
-    if placement is not None:
-        item.ground = np.vstack([item.ground, placement.world_from_base[:2, 3]])
+    if joint_path is not None:
+        stands = joint_path.placement.world_from_base @ joint_path.robot.mount
+        item.ground = np.vstack([item.ground, stands[:2, 3]])
     return item
 
 
@@ -273,7 +273,7 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
         base = joint_path.placement.world_from_base
         add_arm(stage, f"{root}/robot", robot, base, shown.positions, times, materials)
         if robot.name != "sawyer":  # Sawyer brings its pedestal
-            add_stand(stage, f"{root}/stand", base, BASE_HEIGHT, materials)
+            add_stand(stage, f"{root}/stand", base @ robot.mount, BASE_HEIGHT, materials)
         if "stand" in joint_path.metadata:
             there = [joint_path.holds_stand(time) for time in shown.time]
             parts = joint_path.metadata["stand"]
@@ -283,7 +283,7 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
         for link in poses.values():
             seen.append(link[:, :3, 3] @ base[:3, :3].T + base[:3, 3])
         feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
-        seen.append(base[:3, 3] + feet)
+        seen.append((base @ robot.mount)[:3, 3] + feet)
     item.front = item.turn[:2, :2] @ front
     item.corners = item.points @ item.turn.T + shift
     figures = {**trajectory.metadata}

@@ -90,7 +90,7 @@ def write_deployment_page(
     try:
         placement = None if joint_path is None else joint_path.placement
         lies = covered(trajectory, None if joint_path is None and at_nodes else shapes[-1])
-        _workplace(server, trajectory, lies, placement, pattern, radius)
+        _workplace(server, trajectory, lies, joint_path, pattern, radius)
         arm = None if joint_path is None else ShownArm(server, joint_path, at)
         nodes = np.interp(at, time, np.arange(len(time)))
         laid = _length_laid(trajectory, joint_path, onward, at, nodes)
@@ -216,8 +216,8 @@ def _aim(camera, placement, seen: np.ndarray) -> None:
     camera.position = tuple((middle + [0.0, 0.0, distance]) @ axes)
 
 
-def _workplace(server, trajectory, lies, placement, pattern, radius: float) -> None:
-    table = table_under(lies, placement, radius)
+def _workplace(server, trajectory, lies, joint_path, pattern, radius: float) -> None:
+    table = table_under(lies, joint_path, radius)
     middle, size = (table.low + table.high) / 2, table.high - table.low
     frame = np.array(table.pose)
 

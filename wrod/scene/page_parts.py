@@ -165,8 +165,8 @@ class ShownArm:
             moves = bool(np.ptp(local, axis=0).max() > 1e-9)
             self._links.append((frame, turns, local[:, :3, 3], moves))
         if robot.name != "sawyer":  # Sawyer brings its pedestal
-            below = base.copy()
-            below[:3, 3] = base[:3, 3] - base[:3, 2] * (BASE_HEIGHT / 2)
+            below = base @ robot.mount
+            below[:3, 3] -= below[:3, 2] * (BASE_HEIGHT / 2)
             server.scene.add_cylinder(
                 "/stand", radius=0.09, height=BASE_HEIGHT, color=_LEG, **pose_of(below)
             )

@@ -212,11 +212,12 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
         for number, (base, positions) in enumerate(zip(bases, arms.positions, strict=True)):
             name = f"{_ROOT}/robot_{number}"
             add_arm(stage, name, arms.robot, base, positions, codes, materials)
-            floor = min(floor, float(base[2, 3]) - BASE_HEIGHT)
+            stands = base @ arms.robot.mount
+            floor = min(floor, float(stands[2, 3]) - BASE_HEIGHT)
             poses = arms.robot.link_poses(positions[:: max(1, len(positions) // 20)])
             links = [p[:, :3, 3] @ base[:3, :3].T + base[:3, 3] for p in poses.values()]
             feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
-            seen += [*links, base[:3, 3] + feet]
+            seen += [*links, stands[:3, 3] + feet]
             # How high a hand begins to lay would leave little of the picture to the table.
             work += [
                 np.clip(part, [-np.inf, -np.inf, 0.0], [np.inf, np.inf, _HIGH]) for part in links

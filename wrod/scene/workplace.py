@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.robot.placement import Placement
+from wrod.robot.joint_path import JointPath
 from wrod.scene.primitives import Materials, add_curve, add_shape
 
 TABLE_THICKNESS = 0.03  # [m]
@@ -44,26 +44,27 @@ class TableTop:
         return local @ self.pose[:3, :3].T + self.pose[:3, 3]
 
 
-def table_under(contact: np.ndarray, placement: Placement | None, rod_radius: float) -> TableTop:
-    """Table with room around the contact points (T, 3) [m], before the robot where there is one.
+def table_under(contact: np.ndarray, path: JointPath | None, rod_radius: float) -> TableTop:
+    """Table with room around the contact points (T, 3) [m], before the arm of a joint path where
+    there is one.
 
     Its surface lies a rod's radius below the contact points: these are on the rod's centreline.
     """
     margin = 0.14
-    if placement is None:
+    if path is None:
         low, high = contact[:, :2].min(0) - margin, contact[:, :2].max(0) + margin
         top = float(contact[:, 2].min()) - rod_radius
         return TableTop(np.eye(4), low, high, top, top - 0.72)
-    to_base = placement.base_from_world
+    to_base = path.placement.base_from_world
     local = contact @ to_base[:3, :3].T + to_base[:3, 3]
     low, high = local[:, :2].min(0) - margin, local[:, :2].max(0) + margin
     # Off the pedestal where the pattern lies before it; never smaller than a real table.
-    low[0] = min(max(low[0], 0.20), local[:, 0].min() - 0.02)
-    low[1], high[1] = min(low[1], -0.35), max(high[1], 0.35)
+    x, y, z = path.robot.mount[:3, 3]
+    low[0] = min(max(low[0], x + 0.20), local[:, 0].min() - 0.02)
+    low[1], high[1] = min(low[1], y - 0.35), max(high[1], y + 0.35)
     top = float(local[:, 2].min()) - rod_radius
-    return TableTop(
-        placement.world_from_base, low, high, top, min(-BASE_HEIGHT, top - TABLE_THICKNESS)
-    )
+    floor = min(z - BASE_HEIGHT, top - TABLE_THICKNESS)
+    return TableTop(path.placement.world_from_base, low, high, top, floor)
 
 
 def add_table(stage, path: str, table: TableTop, materials: Materials) -> None:
