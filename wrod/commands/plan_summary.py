@@ -34,8 +34,8 @@ def summary(figures: dict) -> str:
         first, last = (value / (2.0 * pi) for value in figures["twist"])
         lines.append(
             f"naturally curved rod: lay it with its first material director "
-            f"{degrees(figures['roll']):.0f} degrees from left towards up, twisted by {first:.2f} "
-            f"turns between table and grip at first and by {last:.2f} in the end"
+            f"{round(degrees(figures['roll']))} degrees from left towards up, twisted by "
+            f"{first:.2f} turns between table and grip at first and by {last:.2f} in the end"
         )
     if spin := figures.get("spin"):
         lines.append(

@@ -319,14 +319,18 @@ ARRAYS = {
         "a shard of a dataset; delete the file",
         {
             "inputs": Field(("N", 3), about="l_s [L_gb], kappa [1/L_gb], k_s"),
-            "position": Field(("N", 3), "L_gb", gaps=True),
-            "rotation": Field(("N", 3), "rad", gaps=True),
-            "force": Field(("N", 3), "k_b/L_gb^2", gaps=True),
+            "position": Field(("N", 3), "L_gb", gaps=True, about="of the grip, from the contact"),
+            "rotation": Field(("N", 3), "rad", gaps=True, about="rotation vector of the grip"),
+            "force": Field(
+                ("N", 3), "k_b/L_gb^2", gaps=True, about="on the suspended rod, at the contact"
+            ),
             "residual": Field(("N",), gaps=True),
             "converged": Field(("N",), kind="truths"),
             "stable": Field(("N",), kind="truths"),
             "twist": _optional("N", unit="rad", gaps=True),
-            "position_sensitivity": _optional("N", 3, 3, gaps=True),
+            "position_sensitivity": _optional(
+                "N", 3, 3, gaps=True, about="derivative of component i by input j"
+            ),
             "rotation_sensitivity": _optional("N", 3, 3, gaps=True),
             "force_sensitivity": _optional("N", 3, 3, gaps=True),
         },
