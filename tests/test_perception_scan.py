@@ -282,13 +282,18 @@ def test_command_writes_paths_and_metres(tmp_path, camera, layout):
     )
     assert result.exit_code == 0, result.output
     assert "1 curve" in result.output and "1 crossing" in result.output
-    with np.load(tmp_path / "o" / "loop.npz", allow_pickle=True) as data:
-        assert data["paths"].dtype == object and data["paths"][0].shape[1] == 2
+    with np.load(tmp_path / "o" / "loop.npz") as data:
+        assert data["paths"].shape[1] == 2 and data["path_start"].tolist() == [0]
         assert data["labels"].shape == (960, 1280)
         assert len(data["radius_px"]) == 1
         assert mean_distance(data["path_m"], loop()) < 7e-5
         assert len(data["crossings"]) == 1
     assert read_image(tmp_path / "o" / "loop-overlay.png").shape[2] == 3
+    pattern = wrod.Pattern.from_points(loop())
+    laid = wrod.load_laid([tmp_path / "o" / "loop.npz"], pattern, noise=1e-4)
+    assert mean_distance(laid.curves[0], loop()) < 7e-5
+    again = wrod.Pattern.load(tmp_path / "o" / "loop.npz")
+    assert again.length == pytest.approx(pattern.length, rel=5e-3)
 
 
 def test_command_scans_the_good_pictures_and_names_the_bad(tmp_path):

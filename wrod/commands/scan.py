@@ -75,8 +75,9 @@ def command(
 ) -> None:
     """Write STEM.npz and STEM-overlay.png for each picture.
 
-    The NPZ holds `paths` (polylines x, y in pixels, end to end), `radius_px`, `labels` (H, W) and
-    the crossings; with a scale also `path_m` in metres.
+    The NPZ holds `paths` (x, y of all polylines in pixels, one after the other), `path_start`
+    (where each begins), `radius_px`, `labels` (H, W) and the crossings; with a scale also
+    `path_m` in metres.
     """
     from tqdm import tqdm
 

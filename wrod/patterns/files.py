@@ -3,6 +3,7 @@
 import os
 import re
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -75,9 +76,13 @@ def read_points(path: str | os.PathLike[str]) -> RawPoints:
 
 
 def _read_numpy(path: Path) -> RawPoints:
-    arrays = read_arrays(path, "a NumPy file of points", error=PatternError, limit=_MAX_BYTES)
+    what = "a NumPy file of points"
+    read = partial(read_arrays, path, what, error=PatternError, limit=_MAX_BYTES)
+    # Of a scan the metric path alone: its image of labels may be larger than points are let be.
+    arrays = read(only=["path_m"]) or read()
     names = [name for name, array in arrays.items() if array.ndim == 2]
-    names = [name for name in ("", "points") if name in arrays] or names
+    known = ("", "points", "path_m")  # the last of `wrod scan`
+    names = [name for name in known if name in arrays] or names
     if len(names) != 1:
         raise PatternError(
             f"{path}: holds {len(names)} tables; save the points as the array 'points'"

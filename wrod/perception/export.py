@@ -34,16 +34,19 @@ def write_scan(
 ) -> Path:
     """Write a scan as NPZ.
 
-    Keys: paths (k,) object array of (n, 2) polylines [px]; radius_px (k,); closed (k,) bool;
-    labels (H, W) uint8; crossings (c, 2) [px] with crossing_paths (c, 2), crossing_arc_lengths
-    (c, 2) [px] and crossing_over (c,): 0 or 1 for the upper of the two, -1 unknown. With a scale
-    also path_m (n, 2) [m] from the start on, or, of several curves, paths_m (k,) object array.
+    Keys: paths (n, 2) points of all polylines, one after the other [px]; path_start (k,) where
+    each begins (`np.split(paths, path_start[1:])`); radius_px (k,); closed (k,) bool; labels
+    (H, W) uint8; crossings (c, 2) [px] with crossing_paths (c, 2), crossing_arc_lengths (c, 2)
+    [px] and crossing_over (c,): 0 or 1 for the upper of the two, -1 unknown. With a scale also
+    path_m (n, 2) [m] from the start on, or, of several curves, paths_m (n, 2) as paths.
 
     Raises:
         PerceptionError: the scan has a scale, holds several curves, and `several` is not set.
     """
+    points = [line.points for line in result.lines]
     data: dict[str, Any] = {
-        "paths": _ragged([line.points for line in result.lines]),
+        "paths": np.concatenate([np.empty((0, 2)), *points]),
+        "path_start": np.cumsum([0, *map(len, points)])[: len(points)],
         "radius_px": np.array([line.radius for line in result.lines]),
         "closed": np.array([line.closed for line in result.lines]),
         "labels": label_image(result),
@@ -54,14 +57,7 @@ def write_scan(
     }
     if result.plane is not None:
         if several and len(result.lines) > 1:
-            data["paths_m"] = _ragged(result.metric_lines())
+            data["paths_m"] = np.concatenate(result.metric_lines())
         else:
             data["path_m"] = oriented(result, start)
     return write_npz(path, **data)
-
-
-def _ragged(arrays: list[np.ndarray]) -> np.ndarray:
-    out = np.empty(len(arrays), object)
-    for k, array in enumerate(arrays):
-        out[k] = array
-    return out
