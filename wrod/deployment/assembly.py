@@ -16,10 +16,10 @@ from wrod.solvers.dynamics import Dynamics
 # down, which loads it with about 2 w L_gb at a point, that makes some 1 % of the radius.
 _SINKING = 1.0 / 600.0
 _SINKING_AT_POSTS = _SINKING / 10.0
-# Newton's iterations of a step. Those that converge take four; where nodes come to stick, slide or
-# touch in turn more do not help, and half the step does. Tighter tolerances than usual take more,
-# lest rods that differ by next to nothing are laid in other steps.
-_ITERATIONS, _USUAL_TOLERANCE = 6, 1e-6
+# Newton's iterations of a step, for tolerances below this and for others: steps that converge to
+# such take four; where nodes come to stick, slide or touch in turn more do not help, and half the
+# step does. Tight ones take more, lest rods that differ by next to nothing are laid in other steps.
+_ITERATIONS, _TIGHT = (12, 6), 1e-4
 # Of rods that say nothing of it, which swing for seconds otherwise [1/s].
 _AIR_DAMPING = 1.0
 
@@ -64,7 +64,7 @@ def assemble(
         ),
         force_scale=load,
         tolerance=tolerance,
-        max_iterations=_ITERATIONS if tolerance >= _USUAL_TOLERANCE else 2 * _ITERATIONS,
+        max_iterations=_ITERATIONS[tolerance >= _TIGHT],
         keeps_recording=keeps_recording,
     )
     return batch, contact, dynamics

@@ -31,7 +31,7 @@ _MOST_CHANGE = 1.5
 _VARIES = 0.05
 # Change of a belief up to which what is believed to lie answers linearly, in these.
 _LINEAR = 0.2
-# Residual forces that are enough for what is believed, see `lay`: what lies changes by a micrometre.
+# Residual forces that are enough for what is believed, see `lay`: what lies changes by 1 um.
 _TOLERANCE = 1e-4
 # Points along a rod where friction by place is said to it.
 _ALONG = 400

@@ -39,13 +39,13 @@ def prepare(
             return pattern
         # A shorter remainder asks for more friction, which the metadata says; one much shorter
         # than a gentle one asks for more than it saves.
-        wanted, room = _remainder_length(start, rod), spare - pattern.length
+        wanted, room = _remainder_length(pattern, start, rod), spare - pattern.length
         enough = room > 0.5 * _gentle_length(start, rod)
         return pattern.with_remainder(min(wanted, room)) if enough else pattern
     if remainder is True:
         if start == 0.0:
             return pattern
-        remainder = _remainder_length(start, rod)
+        remainder = _remainder_length(pattern, start, rod)
     led = pattern.with_remainder(float(remainder))
     _refuse_long(led, rod, spare)
     return led
@@ -59,8 +59,7 @@ def free_end(pattern: Pattern, rod: RodModel | RodMaterial) -> tuple[float, floa
     rod, k_b = 2 w L_gb^3, asks for k_b kappa(s): where it asks for more, it straightens.
     """
     lgb = rod.gravito_bending_length
-    s = np.linspace(0.0, min(_BEGINNING * lgb, pattern.length), _BEGINNING_POINTS)
-    bend = np.abs(pattern.sample(s)[2])
+    s, bend = _beginning(pattern, rod)
     held = bend * lgb <= 0.25 * _SLIPPERY * (s / lgb) ** 2
     held[0] = bend[0] == 0.0
     # What straightens begins at the free end, or where the rod, straight until then, bends.
@@ -72,12 +71,20 @@ def free_end(pattern: Pattern, rod: RodModel | RodMaterial) -> tuple[float, floa
     return off / lgb, float(bend[: last + 1].max())
 
 
-def _remainder_length(curvature: float, rod: RodModel | RodMaterial) -> float:
-    """Length [m] over which the curvature grows from zero with little friction, and from whose end
-    friction holds the moment k_b kappa of what follows: mu w s^2 / 2."""
+def _beginning(pattern: Pattern, rod: RodModel | RodMaterial) -> tuple[np.ndarray, np.ndarray]:
+    """Arc length [m] and size of the curvature [1/m] of a pattern's first 6 L_gb."""
+    longest = _BEGINNING * rod.gravito_bending_length
+    s = np.linspace(0.0, min(longest, pattern.length), _BEGINNING_POINTS)
+    return s, np.abs(pattern.sample(s)[2])
+
+
+def _remainder_length(pattern: Pattern, curvature: float, rod: RodModel | RodMaterial) -> float:
+    """Length [m] over which the curvature grows from zero with little friction, or, if that is
+    longer, from which on friction 0.3 holds the moment of every bend, see `free_end`."""
     lgb, gentle = rod.gravito_bending_length, _gentle_length(curvature, rod)
-    held = 2.0 * lgb * np.sqrt(curvature * lgb / _SLIPPERY)
-    return float(max(gentle, held) if 0.5 * curvature * held <= _HELD_TURN else gentle)
+    s, bend = _beginning(pattern, rod)
+    held = float(np.max(2.0 * lgb * np.sqrt(bend * lgb / _SLIPPERY) - s))
+    return max(gentle, held) if 0.5 * curvature * held <= _HELD_TURN else gentle
 
 
 def _gentle_length(curvature: float, rod: RodModel | RodMaterial) -> float:
