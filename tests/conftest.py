@@ -1,5 +1,6 @@
 """Fixtures that several test files use."""
 
+import gc
 import os
 from collections import Counter
 from pathlib import Path
@@ -7,6 +8,15 @@ from pathlib import Path
 import pytest
 
 import wrod
+
+# Modules, kernels and tests are millions of objects that stay: looking through them again and again
+# for garbage takes a quarter of the time that importing them does.
+gc.set_threshold(100_000, 20, 20)
+
+
+def pytest_collection_finish():
+    """Leave what has been imported out of further searches for garbage."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
