@@ -360,19 +360,11 @@ class Contact(OnDevice):
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
-        self.batch.launch(
-            kernels.settle_friction,
-            (self.batch.rod_count, self.batch.node_count),
-            [self._model, self.time_step, accepted, dof, dof_before],
-            [self._bristle, self._sliding, self.slip, self.force],
-        )
+        nodes, inputs = self.slip.shape, [self._model, self.time_step, accepted, dof, dof_before]
+        carried = [self._bristle, self._sliding, self.slip, self.force]
+        self.batch.launch(kernels.settle_friction, nodes, inputs, carried)
         if self._keeps:
-            self.batch.launch(
-                rolls.settle_roll,
-                (self.batch.rod_count, self.batch.node_count),
-                [self._model, self.time_step, accepted, dof, dof_before],
-                [self._turned],
-            )
+            self.batch.launch(rolls.settle_roll, nodes, inputs, [self._turned])
         if self._has_fixtures:
             self._edges.settle(self.time_step, accepted, dof, dof_before, self.slip, self.force)
 
