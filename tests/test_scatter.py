@@ -1,6 +1,7 @@
 """What is another one in each trial: named where it is all that is left, and for nothing else."""
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,9 +13,9 @@ from test_clamped_noise import ARC, READINGS, TRIALS, columns
 from wrod.commands import main
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
-from wrod.identification.clamped.noise import NoiseModel, _Restricted
+from wrod.identification.clamped.noise import NoiseModel, _Restricted, estimate
 from wrod.identification.clamped.scatter import only_scatter
-from wrod.identification.clamped.selection import _weighed_anew
+from wrod.identification.clamped.selection import _too_little, _weighed_anew
 from wrod.identification.clamped.steps import base_fit
 from wrod.identification.clamped.trace import trace
 from wrod.identification.effect import Model, effects
@@ -100,3 +101,21 @@ def test_where_nothing_was_chosen_other_weights_leave_nothing():
     lab = laboratory("natural_curvature", 101, "pose")
     again = _weighed_anew(lab, base_fit(lab))
     assert again.model.effects == () and again.chi_squared == base_fit(lab).chi_squared
+
+
+def test_a_small_effect_beside_scatter_is_asked_for_its_likelihood():
+    """Scatter that was estimated without it has taken the excess of squares away."""
+    lab = laboratory("none 1", 101, "pose")
+    empty = base_fit(lab)
+    empty = replace(empty, chi_squared=empty.residual_count + 40.0)
+    twist = Model((effects()["twist_stiffness"],))
+    better = replace(empty, model=twist, values=np.ones(1), chi_squared=empty.chi_squared - 32.0)
+    assert "noise alone varies by" in _too_little(lab, empty, empty, better)
+    before = lab.noise, lab.scatter_rates
+    try:
+        lab.set_noise(*estimate(lab, Model(), np.zeros(0)))
+        assert _too_little(lab, empty, empty, better) == ""
+        worse = replace(better, chi_squared=empty.chi_squared - 12.0)
+        assert "less than 10" in _too_little(lab, empty, empty, worse)
+    finally:
+        lab.set_noise(*before)

@@ -4,10 +4,10 @@ Stopping rule. An effect joins the model if it lowers the Bayesian information c
 train trials by `BIC_MARGIN` or more, takes away at least `LEAST_SHARE` of the base model's excess
 of squares or, where the error is still above the noise, half of what is left of it (an effect's law
 is never exactly the rod's: smaller gains would only mend its form), and lowers the squared error of
-trials held out in cross-validation. Where the base model has no excess, the effect has to take as
-much as squares of noise vary by themselves. No model has more than `MOST_EFFECTS`, and where two
-effects leave more than half of the excess a third is not tried: what so many small effects mend is
-not theirs.
+trials held out in cross-validation. Where the base model has no excess, and none is hidden by
+scatter from trial to trial, the effect has to take as much as squares of noise vary by themselves.
+No model has more than `MOST_EFFECTS`, and where two effects leave more than half of the excess a
+third is not tried: what so many small effects mend is not theirs.
 
 Where no known effect reaches the noise, effects are built from profiles along the rod (`profiles`):
 a few numbers at one place that reach it by themselves are chosen among themselves, else all are
@@ -90,7 +90,7 @@ def _so_far(laboratory: Laboratory) -> Selection:
     best = empty
     for count in range(1, MOST_EFFECTS + 1):
         own = [f for f in fits if len(f.model.effects) == count]
-        if own and not _too_little(empty, best, own[0]):
+        if own and not _too_little(laboratory, empty, best, own[0]):
             best = own[0]
     alone = [f for f in fits if len(f.model.effects) == 1]
     gains = [empty.bic - f.bic for f in alone]
@@ -276,7 +276,7 @@ def _search(laboratory: Laboratory, candidates, opening: _Opening | None = None)
 def _judged(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit, fits, held_out):
     """(step from a model to the best of its extensions, its held-out error): see the module."""
     gain = current.bic - best.bic
-    reason, ahead = _too_little(empty, current, best), held_out
+    reason, ahead = _too_little(laboratory, empty, current, best), held_out
     if not reason:
         try:
             ahead = held_out_error(laboratory, best)
@@ -289,7 +289,7 @@ def _judged(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit, fits, h
     return Round(current.model.names, best, fits, gains, accepted, said), ahead
 
 
-def _too_little(empty: Fit, current: Fit, best: Fit) -> str:
+def _too_little(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit) -> str:
     """Why what a model takes of the train trials' squares beyond another is none of its effect's;
     nothing where it is enough."""
     excess = max(empty.chi_squared - empty.residual_count, 0.0)
@@ -302,7 +302,9 @@ def _too_little(empty: Fit, current: Fit, best: Fit) -> str:
     more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
     if gain < BIC_MARGIN:
         return f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
-    if excess < FLUCTUATION * fluctuation and taken < fluctuation:
+    # Scatter that was estimated beside it takes most of the squares of a small effect away.
+    scattered = any(laboratory.noise.scatter)
+    if not scattered and excess < FLUCTUATION * fluctuation and taken < fluctuation:
         return f"takes {taken:.0f} squares, noise alone varies by {fluctuation:.0f}"
     if share < LEAST_SHARE and not more:
         return f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
