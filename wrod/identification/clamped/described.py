@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import ndtr
 
 from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
 
@@ -58,6 +59,12 @@ class LocalBend(Described):
         bump = np.exp(-0.5 * x * x) / (width * np.sqrt(2.0 * np.pi))
         vector = np.array([values[1], -values[0]])
         setup.natural_curvature = setup.natural_curvature + bump[:, None] * vector
+
+    def special_cases(self, values, measurements):
+        """What is bent over the whole rod is curved by itself."""
+        length, width = measurements.material.length, np.exp(values[3])
+        within = np.diff(ndtr((np.array([0.0, length]) - values[2]) / width))[0]
+        return {"natural_curvature": values[:2] * within / length}
 
     def describe(self, values, covariance, measurements):
         size, direction = magnitude_and_angle(*values[:2], covariance[:2, :2])
