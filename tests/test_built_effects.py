@@ -143,3 +143,17 @@ def test_a_short_heavy_stretch_comes_near_to_a_point_mass(laboratory):
     assert special[1] == pytest.approx((extra * s).sum() / extra.sum(), abs=1e-3)
     lump = Model((effects()[name],)).setup(base, special).node_mass - base.node_mass
     assert np.sum(lump) == pytest.approx(special[0])
+
+
+def test_a_bend_over_the_whole_rod_comes_near_to_a_natural_curvature(laboratory):
+    m, base, bend = laboratory.measurements, laboratory.base, LocalBend([])
+    length = m.material.length
+    values = np.array([0.7, -1.9, 0.4 * length, np.log(20.0 * length)])
+    ((name, special),) = bend.special_cases(values, m).items()
+    bent, curved = (
+        Model((effect,)).setup(base, own).natural_curvature
+        for effect, own in ((bend, values), (effects()[name], special))
+    )
+    assert np.abs(bent - curved).max() < 1e-3 * np.abs(bent).max()
+    narrow = bend.special_cases(np.append(values[:3], np.log(1e-3)), m)[name]
+    assert narrow * length == pytest.approx([-1.9, -0.7])  # the angle, spread over the rod

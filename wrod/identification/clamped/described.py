@@ -64,7 +64,7 @@ class LocalBend(Described):
         """What is bent over the whole rod is curved by itself."""
         length, width = measurements.material.length, np.exp(values[3])
         within = np.diff(ndtr((np.array([0.0, length]) - values[2]) / width))[0]
-        return {"natural_curvature": values[:2] * within / length}
+        return {"natural_curvature": np.array([values[1], -values[0]]) * within / length}
 
     def describe(self, values, covariance, measurements):
         size, direction = magnitude_and_angle(*values[:2], covariance[:2, :2])
