@@ -65,9 +65,9 @@ def main(out: str | Path = "out/hard-patterns") -> Path:
         s = np.linspace(0.0, along[-1], int(along[-1] / SPACING) + 1)
         x, y = (np.interp(s, along, points[:, c] - points[0, c]) for c in (0, 1))
         np.savetxt(Path(out) / f"{name}.txt", np.column_stack([x, y, 0.0 * s]), fmt="%.6f")
-        across, down = 0.6 * (k % 4), 0.35 * (k // 4)
+        across, down = 0.6 * (k % 4), 0.4 * (k // 4)
         axis.plot(across + x, y - down)
-        axis.text(across, 0.12 - down, name, fontsize=8)
+        axis.text(across, 0.17 - down, name, fontsize=8)
     axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     return save(figure, out, "hard_patterns")
 
