@@ -75,7 +75,8 @@ class Record:
 class Trace:
     """Keeps what steps are made of (a `wrod.solvers.newton_steps.Follower`), by kernels alone.
 
-    33 numbers a node and step, 8 more of a viscous material and 3.5 for each shape to be touched.
+    33 numbers a node and step, 8 more of a viscous material and 3.5 for each shape to be touched;
+    and 7 a node each time that it is asked.
 
     Args:
         dynamics: whose steps; its `follower` is to be this.
