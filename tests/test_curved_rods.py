@@ -328,3 +328,17 @@ def test_plan_command_takes_a_model(tmp_path):
     assert figures["rod"]["natural_curvature"] == [0.0, 5.0]
     assert figures["roll"] == pytest.approx(-np.pi / 2)
     assert len(figures["twist"]) == 2
+
+
+@pytest.mark.parametrize("bent, said", [(0.0, False), (3.0, True)])
+def test_only_of_a_rod_with_sides_is_it_said_how_to_roll_it(tmp_path, bent, said):
+    """A rod that is softer towards one end, round and straight, has none."""
+    rod = wrod.RodModel(
+        length=0.7, bending_stiffness=wrod.Profile((3e-5, 2e-5), (0.0, 0.7)),
+        twisting_stiffness=2e-5, stretching_stiffness=50.0, line_mass=0.01, radius=0.002,
+        natural_curvature=(bent, 0.0),
+    )  # fmt: skip
+    wrod.save_rod(rod, tmp_path / "rod.json")
+    args = ["plan", "line", "--rod", str(tmp_path / "rod.json"), "--out", str(tmp_path / "o")]
+    result = done(*args, "--no-robot", "--no-expect", "--spacing", "0.1", "--device", "cpu")
+    assert ("the rod has sides" in result.stdout) == said

@@ -244,13 +244,16 @@ def _view(scene: Path) -> None:
 
 
 def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[Path]) -> dict:
+    from wrod.rods.model import RodModel
+
+    rolled = trajectory.twist is not None and RodModel.of(fitted.rod).has_sides
     return {
         **trajectory.metadata,
         **fitted.figures,
         "nodes": len(trajectory),
         "laid_length": float(trajectory.arc_length[-1]),
         "highest_grip": float(trajectory.position[:, 2].max()),
-        "twist": None if trajectory.twist is None else trajectory.twist[[0, -1]].tolist(),
+        "twist": trajectory.twist[[0, -1]].tolist() if rolled else None,
         "joint_path": None if joint_path is None else joint_path.metadata,
         "no_joint_path": reason,
         "notes": list(fitted.notes),

@@ -33,7 +33,7 @@ def summary(figures: dict) -> str:
     if figures["twist"] is not None:
         first, last = (value / (2.0 * pi) for value in figures["twist"])
         lines.append(
-            f"naturally curved rod: lay it with its first material director "
+            "the rod has sides (it is bent at rest, or not round): lay it with its first director "
             f"{round(degrees(figures['roll']))} degrees from left towards up, twisted by "
             f"{first:.2f} turns between table and grip at first and by {last:.2f} in the end"
         )
