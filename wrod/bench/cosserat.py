@@ -1,6 +1,7 @@
 """`wrod bench cosserat`: other people's experiments on rods, beside other people's solvers."""
 
 import json
+from importlib import import_module
 from importlib.util import find_spec
 from itertools import product
 from math import isfinite
@@ -46,6 +47,7 @@ def command(chosen, solvers, elements, out, others) -> None:
     """
     from wrod.machine import machine_line
 
+    import_module("wrod.kernels")  # before newton, whose Warp would speak before --json does
     if find_spec("cosseratbench") is None:
         raise DataError("this bench needs cosseratbench; run pip install 'wrod[peers]'")
     runs = len(chosen or _METRICS) * len(solvers or _SOLVERS) * len(elements or (None,))
