@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-# Where a checkout has the packages that are installed under other names.
+# Where a checkout has the packages that are installed beneath wrod.
 _FOLDERS = {"wrod.kernels": "kernels", "wrod.scenes": "scenes", "wrod.training": "training"}
 
 
@@ -26,6 +26,8 @@ class _Checkout:
         if name != "wrod" and name not in _FOLDERS:
             return None
         folder = self.root / _FOLDERS.get(name, "wrod")
+        if not folder.is_dir():  # installed, where they are beneath it
+            folder = self.root.joinpath(*name.split("."))
         return importlib.util.spec_from_file_location(
             name, folder / "__init__.py", submodule_search_locations=[str(folder)]
         )
