@@ -115,6 +115,8 @@ def _shell(words: list[str], around, out: Path) -> int:
     os.execve("/bin/bash", ["bash", "-c", line], environment)
 
 
+# Variables that ask Python, or a library, to tell at length what it does.
+_LOUD = {"PYTHONVERBOSE", "PYTHONPROFILEIMPORTTIME", "PYTHONMALLOCSTATS"}
 # Ends that the surroundings bring and no program can mend.
 _BY_FORCE = ("| head", "| true", "ulimit", ">&-", "/dev/full", "2>&1 | head")
 
@@ -144,7 +146,8 @@ def wrong(end: End, left: list[str], around, quick: bool = False) -> str | None:
         return f"says {end.said[-300:]}" if "Traceback" in end.said else None
     if end.code == 2 and end.seconds > LONGEST:
         return f"refused after {end.seconds:.0f} s: {end.said[-300:]}"
-    return end.wrong()
+    loud = isinstance(around, dict) and not _LOUD.isdisjoint(around)
+    return end.wrong() if not loud or "Traceback" in end.said or end.code != 2 else None
 
 
 def _wrong_around(end: End, around: str) -> str | None:

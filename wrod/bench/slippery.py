@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -117,8 +118,7 @@ def command(
     if "mujoco" in played:
         settings["chain_step"] = chain_step
     how = {**pace, "disturbed": by, "chain_step": chain_step}
-    for rod_name, name in product(rods.split(","), names.split(",")):
-        shelf.course(rod_name, name)  # refused before anything is written
+    shelf.refuse(product(rods.split(","), names.split(",")), spacing, pace)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery", row_schemas.SlipperyRow)
     cells = list(product(rods.split(","), names.split(","), mus, chosen, played))
     keys = [
@@ -188,6 +188,13 @@ class Shelf:
     def course(self, rod_name: str, name: str):
         """The pattern as `plan` lays it, and the rod."""
         return _led(rod_name, name, self.patterns)
+
+    def refuse(self, places: Iterable[tuple[str, str]], spacing: float, pace: dict) -> None:
+        """Refuse (rod, pattern) that are none, or cannot be laid so, before anything is written."""
+        from wrod.deployment.bounds import refuse_coarse_edges, refuse_long_moves
+
+        refuse_long_moves(pace["speed"], pace["step"])
+        refuse_coarse_edges([self.course(*place)[1] for place in places], spacing)
 
     def bends(self, rod_name: str, name: str) -> bool:
         """Whether the pattern's largest curvature is over 0.4 / L_gb."""

@@ -30,7 +30,7 @@ def check_release(hold: float, release: float) -> None:
 def refuse_endless(trials, speed, spacing, step, frame_interval) -> None:
     """Refuse what no machine ends, or this one has no memory for, or steps and edges that miss
     what happens, before anything is laid."""
-    refuse_coarse_edges(trials, spacing)
+    refuse_coarse_edges([trial.rod for trial in trials], spacing)
     refuse_long_moves(speed, step)
     longest = max(float(trial.rod.length) for trial in trials)
     nodes, duration = longest / spacing + 100.0, 2.0 * longest / speed
@@ -57,8 +57,8 @@ def refuse_long_moves(speed: float, step: float) -> None:
         )
 
 
-def refuse_coarse_edges(trials, spacing: float) -> None:
-    longest = _LONGEST_EDGE * min(float(trial.rod.gravito_bending_length) for trial in trials)
+def refuse_coarse_edges(rods, spacing: float) -> None:
+    longest = _LONGEST_EDGE * min(float(rod.gravito_bending_length) for rod in rods)
     if spacing > longest:
         raise RodError(
             f"spacing is {spacing:g} m, and an edge of {longest:.2g} m is the longest that bends "

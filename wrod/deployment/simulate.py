@@ -208,7 +208,7 @@ def _chunks(count: int, device: str, threads: int | None) -> tuple[list[list[int
 
 def nodes_needed(trials: list[Trial], spacing: float) -> int:
     """Nodes for edges of that length [m] where each rod is laid."""
-    refuse_coarse_edges(trials, spacing)
+    refuse_coarse_edges([t.rod for t in trials], spacing)
     return max(len(mesh(t.rod, t.trajectory.arc_length[-1], spacing)) for t in trials)
 
 
