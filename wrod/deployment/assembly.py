@@ -64,7 +64,7 @@ def assemble(
         ),
         force_scale=load,
         tolerance=tolerance,
-        max_iterations=_ITERATIONS[tolerance >= _TIGHT],
+        max_iterations=_ITERATIONS[int(tolerance >= _TIGHT)],
         keeps_recording=keeps_recording,
     )
     return batch, contact, dynamics
