@@ -161,6 +161,7 @@ class RodBuilding:
             The indices of the rods by the paths of their curves.
 
         Raises:
+            SceneError: the file is not a readable USD stage.
             RodError: There is no such file, a curve is not linear or a ring, or its material lacks
                 a stiffness or density.
         """

@@ -27,13 +27,15 @@ _DAMPINGS = {"air_damping": "wrod:airDamping", "internal_damping": "wrod:interna
 
 def add_curves(builder, source, add, **options) -> dict[str, list[int]]:
     """`SolverDER.add_usd`, which documents the arguments; `add` is `SolverDER.add_rod`."""
-    from pxr import Usd, UsdGeom
+    from pxr import UsdGeom
+
+    from wrod.scene.validate import open_stage
 
     stage = source
     if not hasattr(source, "Traverse"):
         if not Path(source).is_file():
             raise RodError(f"there is no USD file {str(source)!r}")
-        stage = Usd.Stage.Open(str(source))
+        stage = open_stage(source)
     metre = UsdGeom.GetStageMetersPerUnit(stage)
     upright = np.eye(3)
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
