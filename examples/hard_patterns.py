@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from _picture import panels, save
+from scipy.ndimage import gaussian_filter1d
 
 # Step along the pieces, deviation over which their curvature is smoothed, distance of points [m].
 STEP, SMOOTH, SPACING = 2e-4, 6e-3, 2e-3
@@ -20,10 +21,7 @@ def pieces(heading: float, *parts: tuple[float, float]) -> np.ndarray:
     for size, turn in parts:
         length = abs(np.deg2rad(turn)) * size if turn else size
         curvature.append(np.full(round(length / STEP), np.sign(turn) / size if turn else 0.0))
-    wide = int(4 * SMOOTH / STEP)
-    weights = np.exp(-0.5 * (np.arange(-wide, wide + 1) * STEP / SMOOTH) ** 2)
-    padded = np.pad(np.concatenate(curvature), wide, mode="edge")
-    bend = np.convolve(padded, weights / weights.sum(), mode="valid")
+    bend = gaussian_filter1d(np.concatenate(curvature), SMOOTH / STEP, mode="nearest")
     angle = np.deg2rad(heading) + np.concatenate([[0.0], STEP * np.cumsum(bend)])
     return STEP * np.cumsum(np.column_stack([np.cos(angle), np.sin(angle)]), axis=0)
 

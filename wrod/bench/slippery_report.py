@@ -1,5 +1,6 @@
 """What `wrod bench slippery` tells of its trials."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -100,14 +101,19 @@ def draw(path: Path, rows: list[dict], course: Callable, methods: tuple[str, ...
 
     places = list(dict.fromkeys((r["rod"], r["pattern"]) for r in rows))
     mus = sorted({r["friction"] for r in rows})
-    figure = Figure(figsize=(3.6 * len(mus), 3.4 * len(places) + 0.5), layout="constrained")
-    axes = figure.subplots(len(places), len(mus), squeeze=False)
+    count = len(places) * len(mus)
+    across = len(mus) if len(mus) > 1 else math.ceil(math.sqrt(count))
+    down = -(-count // across)
+    figure = Figure(figsize=(3.6 * across, 3.4 * down + 0.5), layout="constrained")
+    axes = figure.subplots(down, across, squeeze=False).ravel()
+    for axis in axes[count:]:
+        axis.set_axis_off()
     lines = {}
     for i, place in enumerate(places):
         led, _ = course(*place)
         target = 100.0 * led.sample(np.linspace(0.0, led.length, 300))[0]
         for j, mu in enumerate(mus):
-            axis = axes[i, j]
+            axis = axes[i * len(mus) + j]
             lines["pattern"] = axis.plot(*target[:, :2].T, color="0.8", lw=4)[0]
             for row in rows:
                 if ((row["rod"], row["pattern"]), row["friction"]) == (place, mu):
@@ -120,12 +126,12 @@ def draw(path: Path, rows: list[dict], course: Callable, methods: tuple[str, ...
                     lines[label] = axis.plot(*curve.T, color=colour, lw=1, ls=style)[0]
             axis.set_aspect("equal")
             axis.set_title(f"{place[0]}, {place[1]}, friction {mu:g}", fontsize=9)
-            axis.set_xlabel("x [cm]")
+            axis.set(xlabel="x [cm]", ylabel="y [cm]")
     figure.legend(
         lines.values(),
         lines.keys(),
         loc="outside lower center",
-        ncols=min(6, 2 * len(mus)),
+        ncols=min(6, 2 * across),
         fontsize=8,
     )
     return write_figure(path, figure, 130)
