@@ -17,14 +17,26 @@ def reads(words, files) -> list[str]:
     return [word for word in words if word.strip("{}") in files]
 
 
+def one_file(draw, words, files) -> tuple[str, Path] | tuple[None, None]:
+    """One of the words that name a file, and that file; none where there is none."""
+    found = [w for w in reads(words, files) if Path(files[w.strip("{}")]).is_file()]
+    read = draw.choice(found) if found else None
+    return (read, Path(files[read.strip("{}")])) if read else (None, None)
+
+
+def emptied(folder: Path) -> Path:
+    """The folder, made anew."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    return folder
+
+
 def dressed(draw, words, files, folder) -> tuple[str, list[str]]:
     """The same call with its words or files written otherwise."""
     mine = [w for w in reads(words, files) if Path(w.strip("{}")).suffix in _DRESS]
     if mine and draw.random() < 0.7:
         read = draw.choice(mine)
-        file, made = Path(files[read.strip("{}")]), folder / "dressed"
-        shutil.rmtree(made, ignore_errors=True)
-        made.mkdir(parents=True)
+        file, made = Path(files[read.strip("{}")]), emptied(folder / "dressed")
         kind = _DRESS[file.suffix](file, made / file.name, draw)
         return f"{file.name} {kind}", [str(made / file.name) if w == read else w for w in words]
     found, kinds = list(words), []

@@ -9,14 +9,13 @@ import gzip
 import io
 import json
 import pickle
-import shutil
 import struct
 import tarfile
 import zipfile
 from pathlib import Path
 
 import numpy as np
-from adversary_dress import reads
+from adversary_dress import emptied, one_file
 
 _PAGE = b"<!DOCTYPE html><html><head><title>404</title></head><body>Not Found</body></html>\n"
 _POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64 + b"\nsize 1\n"
@@ -24,13 +23,10 @@ _POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 6
 
 def foreign(draw, words, files, folder) -> tuple[str, list[str]] | None:
     """The call with one of its files in another program's dress."""
-    found = [w for w in reads(words, files) if Path(files[w.strip("{}")]).is_file()]
-    if not found:
+    read, file = one_file(draw, words, files)
+    if file is None:
         return None
-    read = draw.choice(found)
-    file, made = Path(files[read.strip("{}")]), folder / "foreign"
-    shutil.rmtree(made, ignore_errors=True)
-    made.mkdir(parents=True)
+    made = emptied(folder / "foreign")
     ways = _OF.get(file.suffix, dict)
     kinds = ways(file, made) if callable(ways) else ways
     if not kinds or draw.random() < 0.25:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import click
 import numpy as np
-from adversary_dress import reads
+from adversary_dress import emptied, one_file, reads
 from hostile import broken_arrays, broken_json, broken_xml, save_arrays, write_json_file
 
 # Valid calls beside adversary_material.VALID, for files that those do not read.
@@ -206,13 +206,10 @@ _BREAK = {
 
 def odd_name(draw, words, files, folder) -> tuple[str, list[str]] | None:
     """A valid file under a name that nobody gives, or through links."""
-    found = [w for w in reads(words, files) if Path(files[w.strip("{}")]).is_file()]
-    if not found:
+    read, file = one_file(draw, words, files)
+    if file is None:
         return None
-    read = draw.choice(found)
-    file, made = Path(files[read.strip("{}")]), folder / "named"
-    shutil.rmtree(made, ignore_errors=True)
-    made.mkdir(parents=True)
+    made = emptied(folder / "named")
     stem = draw.choice(
         ["a\nb", "-rf", "%d%s{}", "a b", " ", "e\u0301\u202e", "\U0001f40d", "\udcff\udcfe",
          "$HOME", "`id`", "a'b\"c", "x" * 240, "\x1b[2J", "..a", "*", "a\\b", "~", "CON", "a:b",
