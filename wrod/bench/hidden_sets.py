@@ -12,6 +12,7 @@ from wrod.bench import hidden_effects as hidden_in
 from wrod.bench.continuous_rod import Experiment, labels, measured
 from wrod.bench.hidden_effects import TRIALS, Hidden
 from wrod.bench.hidden_noise import with_noise
+from wrod.bench.hidden_profiles import PROFILES
 from wrod.bench.hidden_strange import STRANGE
 from wrod.errors import DataError
 from wrod.rods.material import RodMaterial
@@ -89,6 +90,7 @@ NEAR: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     hidden_in.sticking_roll.__name__: (("grip_rotation",), ()),
     hidden_in.shaking_camera.__name__: (("camera_offset",), ()),
     **{f.__name__: near for f, near in STRANGE.items()},
+    **dict.fromkeys(PROFILES, (("stretch", "local_bend"), ())),
 }
 
 
@@ -106,7 +108,8 @@ def _combined(parts: list[Hidden]) -> Hidden:
 
 
 def cases() -> dict[str, Callable[[np.random.Generator, RodMaterial], Hidden]]:
-    """Every case by name: nothing (three rods), each effect, pairs, and what no plug-in covers."""
+    """Every case by name: nothing (three rods), effects, pairs, quantities that change along the
+    rod, and what no plug-in covers."""
     pairs = {
         f"{a.__name__} + {b.__name__}": lambda rng, rod, a=a, b=b: _combined(
             [a(rng, rod), b(rng, rod)]
@@ -114,7 +117,7 @@ def cases() -> dict[str, Callable[[np.random.Generator, RodMaterial], Hidden]]:
         for a, b in PAIRS
     }
     nothing = {f"none {k}": hidden_in.none for k in (1, 2, 3)}
-    return {**nothing, **KNOWN, **pairs, **BUILT, **UNCOVERED}
+    return {**nothing, **KNOWN, **pairs, **BUILT, **PROFILES, **UNCOVERED}
 
 
 def hidden_set(name: str, seed: int, noise: str = "white") -> tuple[dict[str, np.ndarray], Hidden]:

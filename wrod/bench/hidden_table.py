@@ -78,7 +78,7 @@ def outcome(
     right: exactly the hidden names; for what no plug-in covers, no verdict of `explained`; for a
         law of bending that is none of the known ones, a law of its own as well as the nearest.
     near: what no plug-in covers is `explained` by effects, or by what is another one in each trial,
-        that are `akin` to it.
+        that are `akin` to it; so is a profile that an effect that is built comes near to.
     confounded: a name is wrong, but the report says that the data do not tell it from the true one.
     incomplete: only true names, not all. unexplained: no name, though there is one.
     wrong: a name that is not hidden. false alarm: a name for a rod without an effect.
@@ -92,6 +92,8 @@ def outcome(
             return "right"
         found |= changing
         return "near" if found and found <= set(akin) else "wrong"
+    if akin and not uncovered and found and found <= set(akin):
+        return "near"
     if found == hidden:
         return "right" if entry["verdict"] in ("explained", "adequate") else "incomplete"
     if not hidden:
@@ -170,12 +172,15 @@ def lines(rows: Sequence[dict]) -> list[str]:
 
 def summary(rows: Sequence[dict]) -> list[str]:
     """How often each outcome came, for each kind of case."""
+    from wrod.bench.hidden_profiles import PROFILES
     from wrod.bench.hidden_sets import BUILT, KNOWN, UNCOVERED
 
     def kind(row):
         name = row["set"]
         if name in BUILT:
             return "built from its print"
+        if name in PROFILES:
+            return "a profile along the rod"
         if name in UNCOVERED:
             return "no plug-in covers it"
         if name in KNOWN:
@@ -188,6 +193,7 @@ def summary(rows: Sequence[dict]) -> list[str]:
         "one effect",
         "two effects",
         "built from its print",
+        "a profile along the rod",
         "no plug-in covers it",
     ):
         own = [r for r in rows if kind(r) == title and r["outcome"] != "not made"]

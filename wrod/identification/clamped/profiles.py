@@ -7,6 +7,8 @@ of its numbers count as the data ask for. A profile is simplified to a described
 (`described`) where that has the better information criterion, and stays a profile where it has not.
 """
 
+import copy
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +19,8 @@ from wrod.identification.clamped.described import (
     LocalLoad,
     Stretch,
 )
+from wrod.identification.clamped.layout import COMPLEX_STEP
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.clamped.trace import hats
 from wrod.identification.effect import Effect, Estimate, Model, Parameter
 
@@ -51,20 +55,61 @@ def _force(setup, profile):
 
 @dataclass(frozen=True)
 class _Kind:
-    """What a profile may be of: how it changes a setup, how many components, their unit."""
+    """What a profile may be of.
 
-    apply: object
-    width: int
+    Attributes:
+        apply: changes a setup by a profile (node, width).
+        told: (node, width) what a setup has of it, for reports, beside the base model's setup.
+        fields: of a setup, all that may change with it.
+        keys: what the components are called; unit: of what is told.
+    """
+
+    apply: Callable
+    told: Callable
+    fields: frozenset[str]
+    keys: tuple[str, ...]
     unit: str
     title: str
 
+    @property
+    def width(self) -> int:
+        return len(self.keys)
+
+
+def _curvature_told(setup, base):
+    return setup.natural_curvature[:, ::-1] * np.array([-1.0, 1.0])
+
+
+def _stiffness_told(setup, base):
+    return setup.bending[:, :1] / base.bending[:, :1]
+
+
+def _weight_told(setup, base):
+    return setup.line_mass[:, None] / base.line_mass[:, None]
+
+
+def _force_told(setup, base):
+    return setup.force[0] / setup.cells()[:, None]
+
 
 KINDS = {
-    "curvature": _Kind(_curvature, 2, "1/m", "natural curvature"),
-    "stiffness": _Kind(_stiffness, 1, "", "logarithm of the relative stiffness"),
-    "weight": _Kind(_weight, 1, "", "relative extra weight"),
-    "force": _Kind(_force, 3, "N/m", "force in the laboratory"),
-}
+    "curvature": _Kind(
+        _curvature, _curvature_told, frozenset({"natural_curvature"}),
+        ("curvature_1", "curvature_2"), "1/m", "natural curvature",
+    ),
+    "stiffness": _Kind(
+        _stiffness, _stiffness_told, frozenset({"bending", "twisting", "stretching"}),
+        ("stiffness_ratio",), "", "relative stiffness",
+    ),
+    "weight": _Kind(
+        _weight, _weight_told, frozenset({"line_mass"}),
+        ("weight_ratio",), "", "relative weight",
+    ),
+    "force": _Kind(
+        _force, _force_told, frozenset({"force"}),
+        ("force_1", "force_2", "force_3"), "N/m", "force in the laboratory",
+    ),
+}  # fmt: skip
 
 
 class ProfileEffect(Effect):
@@ -72,34 +117,43 @@ class ProfileEffect(Effect):
 
     Args:
         kind: of `KINDS`; basis: (KNOTS, width, P) its components.
+        about: an effect of the same quantity that it is a profile about; its parameters come first.
     """
 
     reference = "Gaussian process along the rod, size and smoothness of most evidence"
 
-    def __init__(self, kind: str, basis: np.ndarray):
-        self.kind, self.basis = kind, basis
+    def __init__(self, kind: str, basis: np.ndarray, about: Effect | None = None):
+        self.kind, self.basis, self.about = kind, basis, about
         self.name = f"profile_of_{kind}"
         self.title = f"{KINDS[kind].title}, a profile along the rod"
-        self.parameters = tuple(Parameter(f"component_{k}", "", 1.0) for k in range(basis.shape[2]))
-
-    def profile(self, fraction, values):
-        """(n, width) values along the rod."""
-        return hats(fraction, KNOTS) @ (self.basis @ np.asarray(values))
+        own = tuple(Parameter(f"component_{k}", "", 1.0) for k in range(basis.shape[2]))
+        self.parameters = (*about.parameters, *own) if about else own
 
     def apply(self, setup, values):
-        KINDS[self.kind].apply(setup, self.profile(setup.fraction, values))
+        first = len(self.parameters) - self.basis.shape[2]
+        if self.about:
+            self.about.apply(setup, values[:first])
+        profile = hats(setup.fraction, KNOTS) @ (self.basis @ np.asarray(values[first:]))
+        KINDS[self.kind].apply(setup, profile)
 
     def describe(self, values, covariance, measurements):
-        unit = KINDS[self.kind].unit
+        """What the rod has of the quantity at every knot."""
+        kind = KINDS[self.kind]
+        base = ClampedSetup.base(measurements, measurements.train[:1], KNOTS - 1)
+
+        def told(moved):
+            setup = copy.copy(base)
+            self.apply(setup, moved)
+            return kind.told(setup, base)
+
+        steps = 1j * COMPLEX_STEP * np.eye(len(values))
+        rates = np.stack([told(values + step).imag / COMPLEX_STEP for step in steps], axis=2)
+        error = np.sqrt(np.einsum("kwp,pq,kwq->kw", rates, covariance, rates))
         places = np.linspace(0.0, measurements.material.length, KNOTS)
-        found = self.basis @ values
-        error = np.sqrt(np.einsum("kwp,pq,kwq->kw", self.basis, covariance, self.basis))
         return {
-            f"{self.kind}_{w + 1}_at_{1e3 * places[k]:.0f}_mm": Estimate(
-                float(found[k, w]), float(error[k, w]), unit
-            )
-            for w in range(found.shape[1])
-            for k in range(KNOTS)
+            f"{key}_at_{1e3 * place:.0f}_mm": Estimate(float(value), float(off), kind.unit)
+            for key, values_of, errors in zip(kind.keys, told(values).T, error.T, strict=True)
+            for place, value, off in zip(places, values_of, errors, strict=True)
         }
 
 
@@ -120,20 +174,21 @@ class Found:
     basis: np.ndarray
 
 
-class _Everything(Effect):
-    """Every knot of every kind as a parameter, for one linearisation."""
+class Knots(Effect):
+    """Every knot of some kinds as a parameter, for one linearisation."""
 
-    def __init__(self):
+    def __init__(self, kinds: Sequence[str]):
+        self.kinds = [KINDS[kind] for kind in kinds]
         self.parameters = tuple(
-            Parameter(f"{kind}_{w}_{k}", "", 1.0)
-            for kind, own in KINDS.items()
-            for w in range(own.width)
+            Parameter(f"{key}_{k}", "", 1.0)
+            for own in self.kinds
+            for key in own.keys
             for k in range(KNOTS)
         )
 
     def apply(self, setup, values):
         first, weights = 0, hats(setup.fraction, KNOTS)
-        for own in KINDS.values():
+        for own in self.kinds:
             count = own.width * KNOTS
             part = np.asarray(values[first : first + count]).reshape(own.width, KNOTS)
             own.apply(setup, weights @ part.T)
@@ -180,7 +235,7 @@ class _Linear:
 
 def _linearised(laboratory) -> _Linear:
     trials = laboratory.measurements.train
-    model = Model((_Everything(),))
+    model = Model((Knots(tuple(KINDS)),))
     seen, rates = laboratory.jacobian(model, np.zeros(len(model.parameters)))
     residual = laboratory.whiten((laboratory.target - seen)[trials], trials).ravel()
     columns = laboratory.whiten(rates[trials], trials).reshape(residual.size, -1)
@@ -196,11 +251,17 @@ def profiles_of(linear: _Linear) -> list[Found]:
     found = []
     for kind, own in KINDS.items():
         part = slice(linear.first[kind], linear.first[kind] + own.width * KNOTS)
-        found.append(_likeliest(kind, own.width, linear.gram[part, part], linear.towards[part]))
+        found.append(likeliest(kind, own.width, linear.gram[part, part], linear.towards[part]))
     return sorted(found, key=lambda f: -f.evidence)
 
 
-def _likeliest(kind, width, gram, projected) -> Found:
+def likeliest(kind: str, width: int, gram: np.ndarray, projected: np.ndarray) -> Found:
+    """The likeliest profile of a residual that is linear in its knots.
+
+    Args:
+        gram: (width * KNOTS, width * KNOTS), projected: (width * KNOTS,) of the whitened rates
+            and with the residual.
+    """
     place = np.linspace(0.0, 1.0, KNOTS)
     best: tuple[float, Found] | None = None
     for smooth in _SMOOTH:

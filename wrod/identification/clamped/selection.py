@@ -28,6 +28,7 @@ from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.moment_law import MomentLaw, moment_law_of
 from wrod.identification.clamped.noise import estimate
 from wrod.identification.clamped.profiles import built_effects
+from wrod.identification.clamped.refinement import refined
 from wrod.identification.clamped.scatter import only_scatter
 from wrod.identification.clamped.steps import (
     FLUCTUATION,
@@ -73,6 +74,8 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, build: bool = Fa
     """
     try:
         current, rounds, held_out = _chosen(laboratory, candidates, build)
+        if build:
+            current, held_out = refined(laboratory, current, rounds, held_out)
         laboratory.clock.extend()
         final = _polished(laboratory, current)
         return judge(laboratory, final, base_fit(laboratory), rounds, held_out)

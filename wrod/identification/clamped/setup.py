@@ -74,9 +74,13 @@ class ClampedSetup(RodSetup):
 
     def push(self, line_force: np.ndarray) -> None:
         """Loads the rod with a dead force per length, (n + 1, 3) or one of each trial [N/m]."""
+        self.force = self.force + self.cells()[:, None] * line_force
+
+    def cells(self) -> np.ndarray:
+        """(n + 1,) length of rod that each node stands for [m]."""
         cell = np.full(len(self.fraction), self.length / (len(self.fraction) - 1))
         cell[[0, -1]] *= 0.5
-        self.force = self.force + cell[:, None] * line_force
+        return cell
 
     def weights_at(self, arc_length) -> np.ndarray:
         """(n + 1,) smooth shares of the nodes around a point: their sum is 1, their mean the point.

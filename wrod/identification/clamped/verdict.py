@@ -81,8 +81,8 @@ def judge(
     m = laboratory.measurements
     before = laboratory.rms(laboratory.predict(Model(), np.zeros(0)), m.test) / m.noise_floor
     after = laboratory.rms(laboratory.predict(fit.model, fit.values), m.test) / m.noise_floor
-    unseen = _unseen_gain(laboratory, fit)
-    proven = unseen[0] >= max(UNSEEN_GAIN, UNSEEN_ERRORS * unseen[1])
+    unseen = unseen_gain(laboratory, fit, empty)
+    proven = bool(fit.model.effects) and is_proven(unseen)
     told, left = (fit, after) if proven else (empty, before)
     scatter, at_noise = None, left <= at_noise_of(laboratory)
     if not at_noise:
@@ -183,20 +183,25 @@ def at_noise_of(laboratory: Laboratory) -> float:
     return max(AT_NOISE, 1.0 + 2.5 / np.sqrt(2.0 * count))
 
 
-def _unseen_gain(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
-    """(chi squared that a model takes from the test trials, standard error of that sum)."""
+def unseen_gain(laboratory: Laboratory, fit: Fit, less: Fit) -> tuple[float, float]:
+    """(chi squared that a model takes from the test trials beyond what another one takes, standard
+    error of that sum)."""
     trials = laboratory.measurements.test
-    if not fit.model.effects:
+    if fit.model.names == less.model.names:
         return 0.0, 0.0
-    plain = laboratory.observe(Model(), np.zeros(0), trials=trials)
-    better = laboratory.observe(fit.model, fit.values, trials=trials)
     target = laboratory.target[trials]
+    plain, better = (laboratory.observe(f.model, f.values, trials=trials) for f in (less, fit))
     before, after, moved = (
         (laboratory.whiten(v, trials) ** 2).sum(axis=1)
         for v in (target - plain, target - better, better - plain)
     )
     gain = before - after
     return float(gain.sum()), error_of_gains(gain, moved)
+
+
+def is_proven(unseen: tuple[float, float]) -> bool:
+    """Whether what a model takes from trials that no choice has seen proves it."""
+    return unseen[0] >= max(UNSEEN_GAIN, UNSEEN_ERRORS * unseen[1])
 
 
 def error_of_gains(gain: np.ndarray, moved: np.ndarray) -> float:
@@ -241,8 +246,8 @@ def _confounded(laboratory: Laboratory, fit: Fit, rounds: list[Round]) -> list[d
             empty = (
                 len(rival.values) > len(best.values)
                 and rival.chi_squared > best.chi_squared - BIC_MARGIN
-                and _changed(laboratory, [theirs[n] for n in other])
-                == _changed(laboratory, [mine[n] for n in own])
+                and changed_by(laboratory, [theirs[n] for n in other])
+                == changed_by(laboratory, [mine[n] for n in own])
             )
             if gap < BIC_MARGIN and not empty:
                 found.append(
@@ -304,7 +309,7 @@ def _cost_without(fit: Fit, places: list[int]) -> float:
     return float(value @ np.linalg.solve(fit.covariance[np.ix_(places, places)], value))
 
 
-def _changed(laboratory: Laboratory, own: list[Effect]) -> frozenset[str]:
+def changed_by(laboratory: Laboratory, own: list[Effect]) -> frozenset[str]:
     """What the effects change: fields of the setup, `measure` for what cameras report."""
     m = laboratory.measurements
     base = ClampedSetup.base(m, m.train[:1], 8)
