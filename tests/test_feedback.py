@@ -82,7 +82,7 @@ def test_a_table_of_two_frictions_is_told_by_what_slid_on_it(two_bends):
         path = Way(trajectory).until(to).path
         trial = Trial(pattern, rod, path, law, Disturbance(), Tail.none(path))
         (lies,) = lay([trial], friction_field=field, **COARSE)
-        follow([beliefs.update(to, path, Seen.of(lies, to, Sight(), rng), **COARSE)])
+        follow([beliefs.update(to, path, [Seen.of(lies, to, Sight(), rng)], **COARSE)])
     mu, error = beliefs.under(at)
     assert beliefs.field is not None
     assert (np.abs(np.log(mu / [0.4, 0.16])) < 2.0 * error).all() and error.max() < 0.3
@@ -155,7 +155,8 @@ def test_a_beginning_that_springs_is_laid_for_it(bend):
     beliefs = Beliefs(pattern, ROD, 0.4, 0.05)
     beliefs.know(0.4, Disturbance(natural_curvature=6.0), None)
     now = Moment(beliefs, Way(trajectory), 0.07, np.zeros(2), horizon=10.0)
-    way, placed = follow([now.begun()], hold=0.05)[0]
+    way, placed, kept = follow([now.begun()], hold=0.05)[0]
+    assert not kept
     left = []
     for path, where in ((trajectory, np.zeros(3)), (way.path, placed)):
         (laid,) = lay([beliefs.trial(path, where)], **FINE)
@@ -238,9 +239,9 @@ def test_what_lies_beside_is_made_up_for_by_several_steps(bend):
     pattern, trajectory = bend
     way, beliefs = Way(trajectory), Beliefs(pattern, ROD, 0.3, 0.05)
     now = Moment(beliefs, way, 0.12, np.array([0.0, 2e-3]), horizon=10.0)
-    before, after, corrected, _ = follow([now._corrected(way, 0.12)], hold=0.05)[0]
+    before, after, _, corrected = follow([now._corrected(way, 0.12)], hold=0.05)[0]
     assert before[-15:].mean() > 2e-3 and after[-15:].mean() < 0.5 * before[-15:].mean()
-    moved = corrected.path.position - trajectory.position
+    moved = corrected.way.path.position - trajectory.position
     # Nothing of what is gone is changed, and the grip goes on without a step.
     ahead = way.laid > 0.12
     assert not moved[~ahead].any() and 0.0 < np.abs(moved[ahead][0]).max() < 5e-4

@@ -44,6 +44,7 @@ _FIRST_SEED = 9_000
 )
 @click.option("--seeds", default=1, show_default=True,
               help="Trials a cell: each its own disturbance and noise.")  # fmt: skip
+@click.option("--seed", default=0, show_default=True, help="Of the first trial.")
 @patterns_option
 @click.option("--friction", default=0.4, show_default=True, help="That is believed in.")
 @click.option("--effects", default=",".join(EFFECTS), show_default=True, help="Rows of the table.")
@@ -64,7 +65,7 @@ _FIRST_SEED = 9_000
 @json_option
 @cost.force_option
 def command(
-    rods: str, names: str, effects: str, ways: str, seeds: int, out: Path, workers: int,
+    rods: str, names: str, effects: str, ways: str, seeds: int, seed: int, out: Path, workers: int,
     device: str, **how,
 ) -> None:  # fmt: skip
     """Lay patterns with rods and tables that differ from the plan's, blindly and looking on.
@@ -90,8 +91,8 @@ def command(
     settings = how | {"patterns": patterns}
     ledger = Ledger(out / "feedback.jsonl", settings, KEYS, "feedback", row_schemas.FeedbackRow)
     keys = [
-        (*place, effect, way, seed)
-        for seed, way, effect, place in product(range(seeds), asked, chosen, places)
+        (*place, effect, way, one)
+        for one, way, effect, place in product(range(seed, seed + seeds), asked, chosen, places)
     ]
     jobs = [(shelf, key, how) for key in ledger.lacking(keys)]
     unplanned = sorted({job[1][:2] for job in jobs})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,8 +30,9 @@ _DRIFTS = 0.1 * _DRIFT, _DRIFT
 _MOST_CHANGE = 1.5
 # How likely it is, before anything is seen, that friction differs from place to place.
 _VARIES = 0.05
-# Change of a belief up to which what is believed to lie answers linearly, in these.
-_LINEAR = 0.2
+# Change of a belief up to which what is believed to lie answers linearly, in these, and how often
+# it is made linear anew for a larger one.
+_LINEAR, _ITERATIONS = 0.2, 2
 # Residual forces that are enough for what is believed, see `lay`: what lies changes by 1 um.
 _TOLERANCE = 1e-4
 # Points along a rod where friction by place is said to it.
@@ -127,6 +129,20 @@ class Beliefs:
         """Of the robot about the pattern's beginning, likewise [rad]."""
         return float(self.mean[5] * _DOUBT[5])
 
+    def drawn(self, pairs: int, rng: np.random.Generator) -> list[Beliefs]:
+        """Others that are as likely as these: pairs that lie opposite each other, by the covariance
+        of what may be wrong."""
+        account = self.account
+        values, vectors = np.linalg.eigh(account.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        drawn = []
+        for apart in rng.standard_normal((pairs, len(root))) @ root.T:
+            for sign in (1.0, -1.0):
+                other = copy(self)
+                other.accounts = [replace(account, mean=account.mean + sign * apart)]
+                drawn.append(other)
+        return drawn
+
     def know(self, friction: float, how: Disturbance, field: FrictionField | None) -> None:
         """Believe the truth."""
         stiffness = 3.0 * np.log1p(how.lgb_error)
@@ -160,27 +176,42 @@ class Beliefs:
         **options,
     ) -> Course[Laid]:
         """What is believed to lie at the end of a path."""
-        given = {"friction_field": self.field, "tolerance": _TOLERANCE, **FINE, **options}
         directions = None if columns is None else [columns]
-        (laid,) = yield Asked([self.trial(path, placed)], directions, given)
+        (laid,) = yield self.asked([(path, placed)], directions, **options)
         return laid
 
+    def asked(
+        self,
+        ways: list[tuple[Trajectory, np.ndarray | None]],
+        directions: list[Directions] | None = None,
+        **options,
+    ) -> Asked:
+        """What is believed in, laid by paths and `placed` as in `trial`."""
+        given = {"friction_field": self.field, "tolerance": _TOLERANCE, **FINE, **options}
+        return Asked([self.trial(*way) for way in ways], directions, given)
+
     def update(
-        self, s: float, path: Trajectory, seen: Seen, still: bool = False, **options
+        self, s: float, path: Trajectory, pictures: list[Seen], still: bool = False, **options
     ) -> Course[tuple[float, Laid]]:
-        """By what is seen when `s` [m] is laid, at the end of a path: root mean square of what lies
-        against what was believed before [m], and what is believed to lie since. Nothing has changed
-        since the last picture if the grip stood `still`."""
-        laid = yield from self.felt(path, **options)
-        information, pull, residual = told_by(laid, s, seen)
-        before = self.account.mean
-        self.accounts = [one.after(before, information, pull, still) for one in self.accounts]
-        step = self.account.mean - before
-        misfit = float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
-        if np.abs(step).max() > _LINEAR:
-            return misfit, (yield from self.lay(path, **options))
-        moved = laid.centerline + np.tensordot(step, laid.tangent, 1)
-        return misfit, replace(laid, centerline=moved)
+        """By pictures of the grip standing where `s` [m] is laid, at the end of a path: root mean
+        square of what lies against what was believed before [m], and what is believed to lie since.
+        Nothing has changed since the last look if the grip stood `still` ever since."""
+        prior, misfit = self.accounts, None
+        # A Kalman filter, iterated: derivatives are those of what is believed in the end.
+        for _ in range(_ITERATIONS):
+            laid = yield from self.felt(path, **options)
+            before, told = self.account.mean, prior
+            for k, seen in enumerate(pictures):
+                information, pull, residual = told_by(laid, s, seen)
+                told = [one.after(before, information, pull, still or k > 0) for one in told]
+                if misfit is None:
+                    misfit = float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
+            self.accounts = told
+            step = self.account.mean - before
+            if np.abs(step).max() <= _LINEAR:
+                moved = laid.centerline + np.tensordot(step, laid.tangent, 1)
+                return misfit, replace(laid, centerline=moved)
+        return misfit, (yield from self.lay(path, **options))
 
     def under(self, arc_length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Friction (n,) believed where a rod lies on the pattern at arc lengths (n,) [m], and the

@@ -78,6 +78,8 @@ class Look:
         misfit: root mean square of what was seen against what had been believed [m].
         varies: least and largest factor by which friction is believed to vary over the table.
         seconds: of a processor to renew the beliefs by the pictures, and the path by these [s].
+        kept: whether the path was kept, as others than were believed in, but as likely, are laid no
+            better by the corrected one.
         back: laid length to which the grip went back then [m]; None: it went on.
     """
 
@@ -91,6 +93,7 @@ class Look:
     misfit: float
     varies: tuple[float, float]
     seconds: float
+    kept: bool
     back: float | None = None
 
 
@@ -195,46 +198,52 @@ def following(
         (laid,) = yield Asked([trial], None, given)
         return laid
 
+    def seen(lies: Laid, at: float) -> list[Seen]:
+        return [Seen.of(lies, at, sight, rng) for _ in range(sight.pictures)]
+
     s = trajectory.arc_length
     gone = float(s[min(int(np.searchsorted(s, hold)) + _LEAST_POSES, len(s) - 1)])
     path, looks = way.until(gone).path, []
     held: dict[str, Any] = {"release": gone + hold}
-    laid = yield from really(path, **held)
+    lies = yield from really(path, **held)
     began = process_time()
-    for picture in range(sight.pictures):
-        seen, still = Seen.of(laid, gone, sight, rng), picture > 0
-        misfit, _ = yield from beliefs.update(gone, path, seen, still=still, **held)
+    misfit, _ = yield from beliefs.update(gone, path, seen(lies, gone), still=True, **held)
     if known:
         beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
     now = Moment(beliefs, way, gone, np.zeros(2), horizon)
-    way, beliefs.placed = yield from now.begun()
-    looks.append(_look(beliefs, path, gone, misfit, process_time() - began, None))
-    while gone + every < way.end - 0.5 * every:
-        told = spent = 0.0
-        for to in np.linspace(gone, gone + every, sight.pictures + 1)[1:]:
-            path, at = way.until(to).path, way.laid_at(to)
-            seen = Seen.of((yield from really(path)), at, sight, rng)
-            began = process_time()
-            misfit, laid = yield from beliefs.update(at, path, seen)
-            if known:
-                beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
-                laid = yield from beliefs.lay(path)
-            aside = beside.told(laid, at, seen, to)
-            told += doubted(laid, pattern, at, seen)
-            spent += process_time() - began
+    way, beliefs.placed, kept = yield from now.begun()
+    looks.append(_look(beliefs, path, gone, misfit, process_time() - began, kept, None))
+    while gone < way.end:
+        # The last look comes at the end of the way: what nobody sees, nobody lays anew.
+        gone = gone + every if gone + 1.5 * every < way.end else way.end
+        path, at = way.until(gone).path, way.laid_at(gone)
+        lies = yield from really(path)
+        pictures = seen(lies, at)
         began = process_time()
+        misfit, laid = yield from beliefs.update(at, path, pictures)
+        if known:
+            beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
+            laid = yield from beliefs.lay(path)
+        for one in pictures:
+            aside = beside.told(laid, at, one, gone)
+        told = sum(doubted(laid, pattern, at, one) for one in pictures)
         times = sum(look.back is not None for look in looks)
-        now = Moment(beliefs, way, float(to), aside, horizon)
-        way, gone, back = yield from now.replanned(
+        now = Moment(beliefs, way, gone, aside, horizon)
+        way, gone, back, kept = yield from now.replanned(
             again and told > _BEYOND_NOISE and times < _MOST_TIMES
         )
-        spent += process_time() - began
-        looks.append(_look(beliefs, path, at, misfit, spent, back))
-    return Followed(way.path, (yield from really(way.path)), looks)
+        looks.append(_look(beliefs, path, at, misfit, process_time() - began, kept, back))
+    return Followed(way.path, lies, looks)
 
 
 def _look(
-    beliefs: Beliefs, path: Trajectory, s: float, misfit: float, seconds: float, back: float | None
+    beliefs: Beliefs,
+    path: Trajectory,
+    s: float,
+    misfit: float,
+    seconds: float,
+    kept: bool,
+    back: float | None,
 ) -> Look:
     trial = beliefs.trial(path)
     x, y = beliefs.offset
@@ -251,5 +260,6 @@ def _look(
         misfit,
         (float(factor.min()), float(factor.max())),
         seconds,
+        kept,
         back,
     )

@@ -1,5 +1,7 @@
 """The rest of a grip's path, planned anew at a moment of a deployment for what is believed then."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +39,22 @@ _WRONG, _LOOKED_AT, _BEGINS, _BEFORE = 3e-4, 0.1, 0.5, 0.05
 _GAIN = 2e-5
 
 
+# Pairs of others that are as likely as what is believed, which judge a way that is corrected.
+_PAIRS = 1
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A way, where the robot places all of it (3,) [m, rad], the length of it up to which it is
+    judged [m], and what lies beside what is believed then at the points of the metric (2 x 50,)
+    [m]."""
+
+    way: Way
+    placed: np.ndarray
+    last: float
+    aside: np.ndarray
+
+
 @dataclass(frozen=True)
 class Moment:
     """A moment of a deployment: what is believed, the way, how much of it is gone [m], how far what
@@ -49,38 +67,59 @@ class Moment:
     aside: np.ndarray
     horizon: float
 
-    def begun(self) -> Course[tuple[Way, np.ndarray]]:
-        """The way of a deployment that is begun anew, and where the robot places all of it then
-        (3,) [m, rad]."""
+    def begun(self) -> Course[tuple[Way, np.ndarray, bool]]:
+        """The way of a deployment that is begun anew; where the robot places all of it then (3,)
+        [m, rad]; and whether the way was kept, see `replanned`."""
         beliefs = self.beliefs
         beliefs.placed -= [*beliefs.offset, beliefs.yaw]
-        _, _, way, placed = yield from self._corrected(self.way, beliefs.hold, anew=True)
-        return way, placed
+        _, _, old, new = yield from self._corrected(self.way, beliefs.hold, anew=True)
+        kept = new is not old and not (yield from self._better(new, old))
+        chosen = old if kept else new
+        return chosen.way, chosen.placed, kept
 
-    def replanned(self, again: bool) -> Course[tuple[Way, float, float | None]]:
-        """The way from now on; how much of it is gone where it begins to lay [m]; and the laid
-        length to which it goes back, if it does [m]."""
+    def replanned(self, again: bool) -> Course[tuple[Way, float, float | None, bool]]:
+        """The way from now on; how much of it is gone where it begins to lay [m]; the laid length
+        to which it goes back, if it does [m]; and whether it was kept though another is better by
+        the beliefs: for others that are as likely as these it is not."""
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         at = self.way.laid_at(self.gone)
-        before, after, way, _ = yield from self._corrected(self.way, self.gone)
+        before, after, old, new = yield from self._corrected(self.way, self.gone)
+        kept = new is not old and not (yield from self._better(new, old))
+        now, after = (old, before) if kept else (new, after)
         s = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
         lately = (s > at - _LOOKED_AT) & (s <= at)
         if not again or not lately.any() or before[lately].mean() < _WRONG:
-            return way, self.gone, None
+            return now.way, self.gone, None, kept
         begins = float(s[lately & (before > _BEGINS * _WRONG)][0]) - _BEFORE
         back, turn = self.way.back(self.gone, max(begins, beliefs.hold + _BEFORE))
-        _, better, back, _ = yield from self._corrected(back, turn)
-        if not (after - better)[s <= at].sum() > _GAIN * METRIC_POINTS:
-            return way, self.gone, None
-        return back, turn, back.laid_at(turn)
+        _, better, _, anew = yield from self._corrected(back, turn)
+        gains = (after - better)[s <= at].sum() > _GAIN * METRIC_POINTS
+        if not gains or not (yield from self._better(anew, now, at)):
+            return now.way, self.gone, None, kept
+        return anew.way, turn, anew.way.laid_at(turn), False
+
+    def _better(self, new: _Candidate, old: _Candidate, reach: float = np.inf) -> Course[bool]:
+        """Whether one lays rods and tables that are as likely as those believed in better than the
+        other, on average, as far as both lay them, up to `reach` at most [m]."""
+        pattern, rng = self.beliefs.pattern, np.random.default_rng(round(1e6 * self.gone))
+        s = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
+        ways = [(one.way.until(one.last), one.placed) for one in (new, old)]
+        there = s <= min(reach, *(float(way.laid[-1]) for way, _ in ways))
+        error = np.zeros(2)
+        for beliefs in self.beliefs.drawn(_PAIRS, rng):
+            both = yield beliefs.asked([(way.path, placed) for way, placed in ways])
+            for k, (laid, one) in enumerate(zip(both, (new, old), strict=True)):
+                off = (misplacement(pattern, laid)[0] + one.aside).reshape(2, -1)
+                error[k] += np.inf if laid.diverged else np.hypot(*off)[there].sum()
+        return bool(error[0] < error[1])
 
     def _corrected(
         self, way: Way, turn: float, anew: bool = False
-    ) -> Course[tuple[np.ndarray, np.ndarray, Way, np.ndarray]]:
-        """(50,) error that is expected along the pattern before and after [m], and the way
-        corrected from now on, at first without a step or a kink, which lays rod from `turn` on;
-        or all of it `anew`, and where the robot then places it (3,) [m, rad]. What lies near or
-        beyond there comes to lie `aside` of what is believed."""
+    ) -> Course[tuple[np.ndarray, np.ndarray, _Candidate, _Candidate]]:
+        """(50,) error that is expected along the pattern before and after [m]; and the way before
+        and after it is corrected from now on, at first without a step or a kink, which lays rod
+        from `turn` on; or all of it `anew`. What lies near or beyond there comes to lie `aside` of
+        what is believed."""
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         lgb = beliefs.rod.gravito_bending_length
         last, s = turn + self.horizon * lgb, way.laid_at(turn)
@@ -129,7 +168,10 @@ class Moment:
             elif length > 0.9 * radius:
                 radius *= _LONGER
         lost, left = (np.hypot(*one.error.reshape(2, -1)) for one in (first, now))
-        return lost, left, *moved(now.values)
+        old = new = _Candidate(way, beliefs.placed, last, beyond)
+        if now is not first:
+            new = _Candidate(*moved(now.values), last, beyond)
+        return lost, left, old, new
 
 
 def _rigid_rates(pattern: Pattern, error: np.ndarray) -> np.ndarray:

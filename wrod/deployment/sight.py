@@ -22,8 +22,7 @@ class Sight:
             [m].
         hanging: standard deviation of each of three coordinates of the rod that hangs, as a camera
             at the side measures it [m]; infinite: nothing looks there.
-        pictures: of a look, each with its own noise: of the first while the grip stands, of others
-            on the way from the last look.
+        pictures: of a look, while the grip stands, each with its own noise.
         seed: of the noise.
     """
 
