@@ -39,13 +39,16 @@ def main() -> None:
     import numpy as np
     import warp as wp
 
-    from wrod.grasps.optimal import solve_grasps
+    try:
+        from wrod.grasps.optimal import solve_grasps
+    except ModuleNotFoundError:  # before the library had rooms
+        from wrod.grasps import solve_grasps
 
     options: dict[str, Any] = {"device": device}
     if "shapes" in inspect.signature(solve_grasps).parameters:
         options["shapes"] = False
     inputs = list(np.load(file).values())
-    takes_arrays = importlib.util.find_spec("wrod.grasps.device_results") is not None
+    takes_arrays = "wrod.grasps.device_results" in sys.modules
     for line in sys.stdin:
         count, closure = int(line.split()[0]), line.split()[1]
         part = [values[:count] for values in inputs]
