@@ -20,9 +20,8 @@ EQUILIBRIUM, BOUNDARY = 4e-3, 0.8
 IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
 # A plan that is corrected for its table, and a deployment that looks on and plans anew.
 CORRECTED_PLAN, LOOKING_ON = 15.0, 300.0
-# A recording of motion identified, a joint path with approach and retreat, a plan, a bend pulled,
-# an overhand knot that is tightened by a loop radius of one h.
-RECORDING, JOINT_PATH, PLAN, BEND, KNOT_STEP = 7.0, 12.0, 0.5, 90.0, 0.6
+# A recording of motion identified, a joint path with approach and retreat, a plan, a bend pulled.
+RECORDING, JOINT_PATH, PLAN, BEND = 7.0, 12.0, 0.5, 90.0
 # A row of `wrod bench newton` beside an edge in an iteration of Newton's cable; its scenes of
 # bodies, and of many worlds and of a pile, for each edge; what hangs in a hand, and what loops do.
 NEWTON_ROW, VBD_EDGE, NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 5.0, 8e-7, 85.0, 1e-3, 1e-3
@@ -150,6 +149,12 @@ def deployments(
     memory = nodes * 4096.0 * trials
     rate = usable_cores() if device == "cpu" else 600.0
     return Cost(seconds / rate, memory, 1e5 * trials)
+
+
+def overhand_knots(count: int, loosest: float, tightest: float) -> Cost:
+    """Of pulling knots tight, from one radius of the loop to the other, in radii of the rod."""
+    nodes, steps = 7.0 * loosest, 500.0 + 15.0 * loosest + 27.0 * (loosest - tightest)
+    return Cost(count * nodes * steps * NODE_STEP, 7e4 * count * nodes)
 
 
 def pictures(count: int, width: int, height: int, samples: int = 4) -> Cost:

@@ -30,12 +30,9 @@ def command(frictions: str, loosest: float, tightest: float, out: str | None) ->
     from wrod.machine import machine_line
 
     friction = parse_list(frictions, "--friction", 0.0, 100.0)
-    if not (5 <= tightest < loosest and loosest >= 20):
-        raise RodError(
-            f"loop radii {loosest:g} to {tightest:g}: the loosest must be 20 h or more, for the "
-            "knot's strands to start apart, and the tightest below it, 5 h or more"
-        )
-    work = cost.Cost(cost.KNOT_STEP * len(friction) * (loosest - tightest))
+    if not tightest < loosest:
+        raise RodError(f"loop radii {loosest:g} to {tightest:g} h: give a --tightest below")
+    work = cost.overhand_knots(len(friction), loosest, tightest)
     cost.settle(work, f"{len(friction)} knots", "ask for a smaller --loosest")
     contact, energy = solve_braid()
     clock, cpu = time.perf_counter(), time.process_time()
