@@ -202,6 +202,21 @@ def broken_xml(valid: str, draw: random.Random) -> tuple[str, str]:
     return "an entity bomb", text.replace("</robot>", "&l8;</robot>")
 
 
+def broken_rows(valid: list[str], draw: random.Random) -> tuple[str, str]:
+    """(what was done, text) of a table of points with one row broken."""
+    lines, k = list(valid), draw.randrange(len(valid))
+    lines[k] = draw.choice(
+        ["nan 0", "inf inf", "1e300 1e300", "-1e300 1e300", "1", "1 2 3 4", "x y", "", "0 0",
+         "1e-320 1e-320", "1;2", "x" * 10_000, "# units: parsec", "units: mm", "9" * 400 + " 1",
+         "0.1 0.2 7", "\0", "1 2\r3 4", "½ ¾", "x [mm], y [cm]", lines[k - 1]]
+    )  # fmt: skip
+    what = f"row {k} is {lines[k][:30]!r}"
+    if draw.random() > 0.8:
+        lines = lines[: draw.choice([0, 1, 2, 3])]
+        what = f"{len(lines)} rows"
+    return what, "\n".join(lines)
+
+
 def foreign_files(folder) -> dict:
     """Files that are nothing that any command reads, by kind."""
     folder.mkdir(exist_ok=True)

@@ -1,13 +1,12 @@
 """Hostile input over every loader and every option of every command.
 
 A loader takes what it is given or refuses it in a `WrodError` of one sentence; a command refuses
-with exit code 2 before it works, and leaves nothing behind. WROD_FUZZ=50 tries fifty times as much
+with exit code 2 before it works, and leaves nothing behind. What is broken is drawn by hypothesis
+(tests/drawn.py), or stands in tables of which all is tried. WROD_FUZZ=50 tries fifty times as much
 as the tests do (`make fuzz`).
 """
 
 import json
-import os
-import random
 import resource
 import signal
 import time
@@ -25,10 +24,10 @@ from hostile import (
     arrays_of,
     broken_arrays,
     broken_json,
+    broken_rows,
     broken_xml,
     foreign_files,
     save_arrays,
-    write_json_file,
 )
 from wrod.scenes import sawyer
 
@@ -54,28 +53,8 @@ from wrod.planning.trajectory import Trajectory
 from wrod.robot.joint_path import JointPath
 from wrod.robot.urdf import read_urdf
 
-FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
 SECONDS, BYTES = 10, 2 * 2**30
 SCENES = Path(sawyer.__file__).parent
-# Of a test of many files, so that `make fuzz` ends [s of a processor]; what was tried is told.
-LONGEST = 10
-
-
-def tries(count):
-    """Calls it with so many seeds, FUZZ times as often where there is time for that: the same in
-    every run of the tests, others in each `make fuzz`."""
-
-    def decorate(attempt):
-        def each():
-            draw, end = random.Random(count if FUZZ == 1 else None), time.process_time() + LONGEST
-            for _ in range(count * FUZZ):
-                if time.process_time() > end:
-                    return
-                attempt(draw.getrandbits(32))
-
-        return each
-
-    return decorate
 
 
 @contextmanager
@@ -162,6 +141,8 @@ def note(tried, kind, refused):
 
 @pytest.mark.parametrize("kind", JSON_FILES)
 def test_json_files(kind, tmp_path, tried):
+    from drawn import broken, encoded, try_all
+
     load, valid = JSON_FILES[kind]
     path = tmp_path / "file.json"
     if kind == "knot":
@@ -170,14 +151,12 @@ def test_json_files(kind, tmp_path, tried):
     path.write_text(json.dumps(valid))
     assert not taken_or_refused(load, path, f"a valid {kind}")
 
-    @tries(60)
-    def attempt(seed):
-        draw = random.Random(seed)
-        what, text = broken_json(valid, draw)
-        write_json_file(path, text, draw)
-        note(tried, kind, taken_or_refused(load, path, f"{kind}, seed {seed}: {what}"))
+    def attempt(drawn):
+        what, content = drawn
+        path.write_bytes(content)
+        note(tried, kind, taken_or_refused(load, path, f"{kind}: {what}"))
 
-    attempt()
+    try_all(encoded(broken(broken_json, valid)), 60, attempt)
 
 
 def plan_arrays(tmp_path):
@@ -241,23 +220,25 @@ ARRAY_FILES = {
 
 @pytest.mark.parametrize("kind", ARRAY_FILES)
 def test_array_files(kind, tmp_path, tried):
+    from drawn import broken, try_all
+
     load, make = ARRAY_FILES[kind]
     valid, path = make(tmp_path), tmp_path / "rope-line-int.npz"
     save_arrays(path, valid)
     assert not taken_or_refused(load, path, f"a valid {kind}")
 
-    @tries(60)
-    def attempt(seed):
-        what, arrays = broken_arrays(valid, random.Random(seed))
+    def attempt(drawn):
+        what, arrays = drawn
         save_arrays(path, arrays)
-        where = f"{kind}, seed {seed}: {what}"
-        note(tried, kind, taken_or_refused(load, path, where))
-        taken_or_refused(is_motion, path, where)
+        note(tried, kind, taken_or_refused(load, path, f"{kind}: {what}"))
+        taken_or_refused(is_motion, path, f"{kind}: {what}")
 
-    attempt()
+    try_all(broken(broken_arrays, valid), 60, attempt)
 
 
 def test_urdf_files(tmp_path, tried):
+    from drawn import broken, try_all
+
     valid, path = sawyer.PATH.read_text(), tmp_path / "arm.urdf"
     path.write_text(valid)
     assert not taken_or_refused(read_urdf, path, "the Sawyer")
@@ -267,36 +248,98 @@ def test_urdf_files(tmp_path, tried):
         urdf.shapes("visual")
         urdf.shapes("collision")
 
-    @tries(60)
-    def attempt(seed):
-        what, text = broken_xml(valid, random.Random(seed))
+    def attempt(drawn):
+        what, text = drawn
         path.write_text(text, encoding="utf-8", errors="replace")
-        note(tried, "urdf", taken_or_refused(load, path, f"URDF, seed {seed}: {what}"))
+        note(tried, "urdf", taken_or_refused(load, path, f"URDF: {what}"))
 
-    attempt()
+    try_all(broken(broken_xml, valid), 60, attempt)
 
 
 def test_point_files(tmp_path, tried):
-    s = np.linspace(0.0, 0.4, 40)
-    rows = [f"{x:.6f} {0.05 * np.sin(9 * x):.6f}" for x in s]
+    from drawn import broken, encoded, try_all
+
+    rows = [f"{x:.6f} {0.05 * np.sin(9 * x):.6f}" for x in np.linspace(0.0, 0.4, 40)]
     path = tmp_path / "points.txt"
 
-    @tries(60)
-    def attempt(seed):
-        draw = random.Random(seed)
-        lines, k = list(rows), draw.randrange(len(rows))
-        lines[k] = draw.choice(
-            ["nan 0", "inf inf", "1e300 1e300", "-1e300 1e300", "1", "1 2 3 4", "x y", "", "0 0",
-             "1e-320 1e-320", "1;2", "x" * 10_000, "# units: parsec", "units: mm", "9" * 400 + " 1",
-             "0.1 0.2 7", "\0", "1 2\r3 4", "½ ¾", "x [mm], y [cm]", lines[k - 1]]
-        )  # fmt: skip
-        if draw.random() < 0.2:
-            lines = lines[: draw.choice([0, 1, 2, 3])]
-        path.write_text("\n".join(lines), encoding=draw.choice(["utf-8"] * 5 + ["utf-16"]))
-        what = f"points, seed {seed}: {lines[k][:30] if k < len(lines) else 'short'!r}"
-        note(tried, "points", taken_or_refused(wrod.Pattern.load, path, what))
+    def attempt(drawn):
+        what, content = drawn
+        path.write_bytes(content)
+        note(tried, "points", taken_or_refused(wrod.Pattern.load, path, f"points: {what}"))
 
-    attempt()
+    try_all(encoded(broken(broken_rows, rows)), 60, attempt)
+
+
+def contents(folder) -> dict:
+    """A loader and the bytes of a valid file for it, by the file's name."""
+    from PIL import Image, ImageDraw
+
+    from wrod.deployment.table import TableFriction
+    from wrod.robot.mesh import read_mesh
+    from wrod.robot.obstacles import Obstacles
+
+    picture = Image.new("RGB", (60, 40), "white")
+    ImageDraw.Draw(picture).line([(9, 20), (50, 25)], fill="black", width=3)
+    for suffix in (".png", ".jpg", ".bmp", ".tif"):
+        picture.save(folder / f"line{suffix}")
+    found = {f"line{suffix}": read_image for suffix in (".png", ".jpg", ".bmp", ".tif")}
+    texts = {
+        "drawing.svg": (
+            wrod.Pattern.load,
+            '<svg xmlns="http://www.w3.org/2000/svg" width="200mm" height="100mm" viewBox="0 0 200 '
+            '100"><path fill="none" stroke="black" d="M 10 50 C 60 10 120 90 190 50"/></svg>',
+        ),
+        "drawing.dxf": (
+            wrod.Pattern.load,
+            "0\nSECTION\n2\nENTITIES\n0\nLINE\n10\n0\n20\n0\n11\n300\n21\n0\n0\nENDSEC\n0\nEOF\n",
+        ),
+        "mesh.obj": (read_mesh, "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"),
+        "mesh.stl": (
+            read_mesh,
+            "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+            "endloop\nendfacet\nendsolid a\n",
+        ),
+        "obstacles.json": (Obstacles.load, '[{"kind": "sphere", "size": 0.05, "xyz": [0, 0, 2]}]'),
+        "table.json": (
+            TableFriction.load,
+            '{"format": "wrod-table-1", "friction": 0.4, "log_error": 0.1}',
+        ),
+        "arm.urdf": (read_urdf, sawyer.PATH.read_text()),
+    }
+    for name, (load, text) in texts.items():
+        (folder / name).write_text(text)
+        found[name] = load
+    for name, (load, valid) in JSON_FILES.items():
+        (folder / f"{name}.json").write_text(json.dumps(valid))
+        found[f"{name}.json"] = load
+    for name, (load, make) in ARRAY_FILES.items():
+        save_arrays(folder / f"{name}.npz", make(folder))
+        found[f"{name}.npz"] = load
+    (folder / "controller.safetensors").write_bytes(
+        (SCENES / "controller" / "default.safetensors").read_bytes()
+    )
+    found["controller.safetensors"] = wrod.Controller.load
+    return {name: (load, (folder / name).read_bytes()) for name, load in found.items()}
+
+
+def test_bytes_of_every_file(tmp_path, tried):
+    from drawn import edited, st, try_all
+
+    for extra in ("PIL", "ezdxf", "svgelements", "trimesh", "cv2"):
+        pytest.importorskip(extra)
+    whole = contents(tmp_path)
+    broken = tmp_path / "broken"
+    broken.mkdir()
+
+    def attempt(drawn):
+        name, content = drawn
+        (broken / name).write_bytes(content)
+        note(tried, "bytes", taken_or_refused(whole[name][0], broken / name, name))
+
+    names = st.sampled_from(sorted(whole))
+    try_all(
+        names.flatmap(lambda name: st.tuples(st.just(name), edited(whole[name][1]))), 300, attempt
+    )
 
 
 def test_foreign_files_are_refused_by_every_loader(tried, foreign):
@@ -406,6 +449,32 @@ def test_words_that_nobody_means_are_refused(name, command, tmp_path, tried):
                 continue
             words = call(name, command, tmp_path, {flag: value})
             refused_by_command(words, tmp_path, f"{name} {flag} {value!r}", tried, "words")
+
+
+def test_drawn_numbers_out_of_bounds_are_refused(tmp_path, tried):
+    from drawn import numbers, st, try_all
+
+    options = [
+        (name, command, option)
+        for name, command in commands()
+        for option in command.params
+        if isinstance(option, click.Option) and numeric(option)
+    ]
+
+    def attempt(drawn):
+        number, value = drawn
+        name, command, option = options[number]
+        try:
+            one = (int if isinstance(option.type, click.IntRange) else float)(value)
+            if option.type.min <= one <= option.type.max:
+                return
+        except (ValueError, OverflowError):
+            pass
+        flag = max(option.opts, key=len)
+        words = call(name, command, tmp_path, {flag: value})
+        refused_by_command(words, tmp_path, f"{name} {flag} {value!r}", tried, "drawn numbers")
+
+    try_all(st.tuples(st.integers(0, len(options) - 1), numbers()), 200, attempt)
 
 
 # Options of text that are judged before the work, and which of WORDS are good for them.
