@@ -27,8 +27,9 @@ from pathlib import Path
 
 import click
 import numpy as np
-from adversary_dress import dressed
+from adversary_dress import dressed, emptied
 from adversary_foreign import foreign
+from adversary_fresh import table
 from adversary_kinds import (
     MORE,
     SAME,
@@ -85,6 +86,13 @@ class Campaign:
             for option in [*command.params, None]
         ]
         random.Random(0).shuffle(self.slots)  # a short campaign has some of every command
+        self.table = table(files)
+
+    def listed(self, number: int, only: str = "") -> tuple[str, list[str], dict | str | None]:
+        """The same of a call of the table (adversary_fresh.py)."""
+        kinds = [kind for kind in self.table if kind.startswith(only)]
+        kind = kinds[number % len(kinds)]
+        return kind, *self.table[kind](emptied(self.folder / "listed"))
 
     def drawn(self, seed: int, number: int, only: str = "") -> tuple[str, list[str], dict | str]:
         """What is broken, the words of the call, and what is around it."""
@@ -258,15 +266,16 @@ class Campaign:
 
 def work(task: tuple) -> list[tuple]:
     """The calls of one process: (number, kind, code, seconds, wrong, last words, memory)."""
-    folder, seed, numbers, only, end, log = task
+    folder, seed, numbers, only, listed, end, log = task
     folder.mkdir(parents=True, exist_ok=True)
     files = material(folder / "files")
     campaign, found = Campaign(folder, files), []
     for number in numbers:
         if time.monotonic() > end:
             break
-        kind, words, around = campaign.drawn(seed, number, only)
-        ended, left = run(words, around, folder / "run", files)
+        call = campaign.listed(number, only) if listed else campaign.drawn(seed, number, only)
+        kind, words, around = call
+        ended, left = run(words, around, folder / "run", files, folder / "listed")
         said = wrong(ended, left, around, words[0] in QUICK)
         if isinstance(around, tuple) and ended.code == 0 and not said:
             said = campaign.alike(words, around, folder / "run")
@@ -288,8 +297,9 @@ def work(task: tuple) -> list[tuple]:
 @click.option("--workers", default=1, show_default=True)
 @click.option("--minutes", default=60.0, show_default=True, help="Begin none after that.")
 @click.option("--only", default="", help="Commands that begin so.")
+@click.option("--listed", is_flag=True, help="Of adversary_fresh.py, all where --count is above.")
 @click.option("--log", type=click.Path(path_type=Path), help="A line for every call.")
-def cli(count, first, seed, workers, minutes, only, log) -> None:
+def cli(count, first, seed, workers, minutes, only, listed, log) -> None:
     """Make hostile calls, and say which ended as none may."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ["PYTHONPATH"] = os.pathsep.join(p for p in sys.path if p)
@@ -297,7 +307,7 @@ def cli(count, first, seed, workers, minutes, only, log) -> None:
     with tempfile.TemporaryDirectory() as place:
         numbers = range(first, first + count)
         tasks = [
-            (Path(place) / str(k), seed, numbers[k::workers], only, end, log)
+            (Path(place) / str(k), seed, numbers[k::workers], only, listed, end, log)
             for k in range(workers)
         ]
         context = multiprocessing.get_context("spawn")

@@ -26,14 +26,18 @@ DEVICES = ("/dev/null", "/dev/zero", "/dev/full")
 LONGEST = 10.0
 
 
-def run(words: list[str], around, place: Path, files: dict[str, str]) -> tuple[End, list[str]]:
-    """How a call ends, and what it left beside its output."""
+def run(
+    words: list[str], around, place: Path, files: dict[str, str], made: Path | None = None
+) -> tuple[End, list[str]]:
+    """How a call ends, and what it left beside its output. `made`: a folder of other files of it,
+    which it leaves alone where it is refused."""
     shutil.rmtree(place, ignore_errors=True)
     (place / "here").mkdir(parents=True)
     names = {f"{{{name}}}": path for name, path in files.items()}
     out = place / "out"
     words = [names.get(word, word.replace("{out}", str(out))) for word in words]
     before = {path: _stamp(path) for path in files.values()}
+    others = {} if made is None or around is not None else _stamp(str(made))
     if isinstance(around, tuple):
         around = None
     if around is None:
@@ -60,6 +64,8 @@ def run(words: list[str], around, place: Path, files: dict[str, str]) -> tuple[E
         path for path, stamp in before.items()
         if _stamp(path) != stamp and (end.code == 2 or path not in written)
     ]  # fmt: skip
+    if end.code == 2 and others and "complete" not in end.said and _stamp(str(made)) != others:
+        left.append(str(made))
     deaf = isinstance(around, str) and "2>" in around and "2>&1" not in around
     if end.code == 2 and "complete" not in end.said and not deaf:  # what stays could not be said
         left += [str(path) for path in place.glob("out*") for path in [path, *path.rglob("*")]]
