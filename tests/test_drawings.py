@@ -91,7 +91,10 @@ def test_dxf_units_and_strokes_are_asked_for(tmp_path):
         wrod.Pattern.load(path, units="cm")
 
 
-@pytest.mark.parametrize("name, text", [("a.svg", "<svg"), ("a.dxf", "not a drawing")])
+@pytest.mark.parametrize(
+    "name, text",
+    [("a.svg", "<svg"), ("a.svg", "<svg xmlns='x'/>"), ("a.dxf", "not a drawing")],
+)
 def test_broken_drawings_are_named(tmp_path, name, text):
     path = tmp_path / name
     path.write_text(text)

@@ -111,6 +111,10 @@ def _svg(path: Path, layer: str | None) -> list[np.ndarray]:
         drawing = svgelements.SVG.parse(str(path), reify=True, ppi=96.0)
     except Exception as error:
         raise PatternError(f"{path}: not a readable SVG file ({shown(error, 200)})") from None
+    if not isinstance(drawing, svgelements.SVG):
+        raise PatternError(
+            f'{path}: not an SVG file: its root is no <svg xmlns="http://www.w3.org/2000/svg">'
+        )
     metre = _INCH / 96.0
     names = _layers(drawing, svgelements)
     if layer is not None and layer not in names:
