@@ -92,7 +92,7 @@ class Campaign:
         """The same of a call of the table (adversary_fresh.py)."""
         kinds = [kind for kind in self.table if kind.startswith(only)]
         kind = kinds[number % len(kinds)]
-        return kind, *self.table[kind](emptied(self.folder / "listed"))
+        return f"{kind} (listed)", *self.table[kind](emptied(self.folder / "listed"))
 
     def drawn(self, seed: int, number: int, only: str = "") -> tuple[str, list[str], dict | str]:
         """What is broken, the words of the call, and what is around it."""
@@ -124,11 +124,14 @@ class Campaign:
         name = names[number % len(names)]
         words, command = list(draw.choice([VALID[name], *MORE.get(name, [])])), self.commands[name]
         how = draw.choice(["combined", "combined", "doubled", "structured", "odd name", "dressed",
-                           "foreign", "foreign", "foreign", "happening", "happening"])  # fmt: skip
+                           "foreign", "foreign", "foreign", "happening", "happening", "listed",
+                           "listed"])  # fmt: skip
         given, around = (draw, words, self.files, self.folder), None
         found = structured(*given) if how == "structured" else None
         found = odd_name(*given) if how == "odd name" else found
         found = foreign(*given) if how == "foreign" else found
+        if how == "listed" and any(kind.startswith(f"{name} ") for kind in self.table):
+            return self.listed(draw.randrange(len(self.table)), f"{name} ")
         if how == "doubled":
             found = doubled(draw, words, command, self.files)
         elif how == "happening":
@@ -345,6 +348,8 @@ def _begins(kind: str, names: list[str]) -> str:
 def _broken(row: tuple) -> str:
     """What is broken, of a few words."""
     kind = row[1].removeprefix(f"{_begins(row[1], sorted(commands(), key=len, reverse=True))} ")
+    if kind.endswith("(listed)"):
+        return f"listed: {kind.split()[0]}"
     for how in ("combined", "doubled", "structured", "odd name", "dressed", "foreign", "happening"):
         if kind.startswith(how):
             return how

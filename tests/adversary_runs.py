@@ -8,7 +8,9 @@ import shlex
 import shutil
 import signal
 import stat
+import subprocess
 import sys
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -142,6 +144,8 @@ def wrong(end: End, left: list[str], around, quick: bool = False) -> str | None:
         return None  # its worker was at work when the limit of processor time ended it
     if isinstance(around, str) and around.startswith("# "):
         return _wrong_around(end, around)
+    if isinstance(around, dict) and end.code < 0 and end.code == _python_alone(**around):
+        return None  # CPython issue 111499: 3.12 before 3.12.4 with PYTHONMALLOCSTATS
     if isinstance(around, str):  # there may be nobody to tell, and no room to tell it in
         if "Traceback" in end.said:
             return f"exit {end.code}: {end.said[-500:]}"
@@ -154,6 +158,14 @@ def wrong(end: End, left: list[str], around, quick: bool = False) -> str | None:
         return f"refused after {end.seconds:.0f} s: {end.said[-300:]}"
     loud = isinstance(around, dict) and not _LOUD.isdisjoint(around)
     return end.wrong() if not loud or "Traceback" in end.said or end.code != 2 else None
+
+
+@cache
+def _python_alone(**around) -> int:
+    """Exit code of a Python that does nothing, in that environment."""
+    environment = {name: value for name, value in {**os.environ, **around}.items() if value}
+    nothing = [sys.executable, "-c", "pass"]
+    return subprocess.run(nothing, env=environment, capture_output=True).returncode
 
 
 def _wrong_around(end: End, around: str) -> str | None:
