@@ -279,7 +279,7 @@ def work(task: tuple) -> list[tuple]:
         call = campaign.listed(number, only) if listed else campaign.drawn(seed, number, only)
         kind, words, around = call
         ended, left = run(words, around, folder / "run", files, folder / "listed")
-        said = wrong(ended, left, around, words[0] in QUICK)
+        said = wrong(ended, left, around, words[:1] in [[name] for name in QUICK])
         if isinstance(around, tuple) and ended.code == 0 and not said:
             said = campaign.alike(words, around, folder / "run")
         spent = round(ended.seconds, 1)
