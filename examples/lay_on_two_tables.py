@@ -18,7 +18,9 @@ def main(out: str | Path = "out/examples", spacing: float = 0.01) -> Path:
         wrod.Trial(pattern, rod, trajectory, wrod.Friction(mu), wrod.Disturbance())
         for mu in (0.6, 0.2)
     ]
-    laid = wrod.simulate_deployments(trials, spacing=spacing, speed=0.04)
+    laid = wrod.simulate_deployments(
+        trials, discretisation=wrod.Discretisation(spacing), speed=0.04
+    )
     for trial, one in zip(trials, laid, strict=True):
         print(f"friction {trial.friction.static}: {1e2 * one.error_mean:.2f} cm")
     title = "An arc laid on tables of friction 0.6 and 0.2"

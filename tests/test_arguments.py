@@ -486,19 +486,23 @@ CALLS = {
             disturbance=wrod.Disturbance(), tail=None, fixtures=None,
         ),
     ),
+    "Discretisation": lambda: (
+        wrod.Discretisation,
+        dict(spacing=0.05, step=0.05, scheme="euler", tolerance=1e-4, node_count=None),
+    ),
     "simulate_deployment": lambda: (
         wrod.simulate_deployment,
         dict(
             pattern=line(), rod=vps(), trajectory=path(), friction=0.6, disturbance=None,
-            fixtures=None, speed=0.2, spacing=0.05, step=0.05,
+            fixtures=None, speed=0.2, discretisation=wrod.Discretisation(0.05, 0.05),
         ),
     ),
     "simulate_deployments": lambda: (
         wrod.simulate_deployments,
         dict(
             trials=[wrod.Trial(line(), vps(), path(), wrod.Friction(0.5))], hold=0.05,
-            release=None, speed=0.2, spacing=0.05, node_count=None, step=0.05, scheme="euler",
-            tolerance=1e-4, frame_interval=None, device="cpu", threads=None, progress=None,
+            release=None, speed=0.2, discretisation=wrod.Discretisation(0.05, 0.05),
+            frame_interval=None, device="cpu", threads=None, progress=None,
         ),
     ),
     "RodBatch": lambda: (wrod.RodBatch, batch()),

@@ -18,7 +18,7 @@ from wrod.planning.tail import tail
 
 # A soft rod of 30 cm along an eased quarter turn: short tails and a coarse mesh keep it quick.
 ROD = wrod.RodMaterial(0.0016, 0.018, 0.30)
-QUICK = dict(spacing=0.006, speed=0.03, step=0.02, threads=1)
+QUICK = dict(discretisation=wrod.Discretisation(0.006, 0.02), speed=0.03, threads=1)
 
 
 def quarter_turn():
@@ -110,7 +110,7 @@ def test_rod_that_diverges_is_cut_out_and_the_others_do_not_notice(plans):
     calm = Trial(pattern, ROD, by_method["numeric"], wrod.Friction(0.8))
     shaken = replace(calm, disturbance=wrod.Disturbance(jitter=1e3))
     other = replace(calm, friction=wrod.Friction(0.3), disturbance=wrod.Disturbance.random(3))
-    options = {**QUICK, "node_count": 47}
+    options = {**QUICK, "discretisation": wrod.Discretisation(step=0.02, node_count=47)}
     alone = simulate_deployments([calm, other], **options)
     first, lost, last = simulate_deployments([calm, shaken, other], **options)
     assert lost.diverged and not (first.diverged or last.diverged)
@@ -242,7 +242,7 @@ def test_a_rod_brings_its_drag(plans):
     path, drag = by_method["numeric"], 3.0
     airy = replace(wrod.RodModel.of(ROD), quadratic_drag=drag)
     trials = [Trial(pattern, rod, path, wrod.Friction(0.8)) for rod in (airy, ROD)]
-    setups = prepare_trials(trials, 0.05, 0.05, 0.03, 0.02, None)
+    setups = prepare_trials(trials, 0.05, 0.05, 0.03, wrod.Discretisation(0.02))
     dynamics = assemble(trials, setups)[2]
     mass = ROD.weight / ROD.gravity * ROD.length
     assert dynamics.drag.numpy().sum(axis=1) == pytest.approx(np.array([[0, drag * mass], [0, 0]]))
@@ -272,13 +272,15 @@ def test_bad_input_is_refused(plans):
     with pytest.raises(RodError, match="speed"):
         wrod.simulate_deployment(pattern, ROD, trajectory, speed=-1.0)
     with pytest.raises(RodError, match=r"moves 0\.1 m in a step"):
-        wrod.simulate_deployment(pattern, ROD, trajectory, speed=10.0, step=0.01)
+        wrod.simulate_deployment(pattern, ROD, trajectory, speed=10.0)
     with pytest.raises(RodError, match=r"spacing is 0\.06 m"):
-        wrod.simulate_deployment(pattern, ROD, trajectory, spacing=0.06)
+        wrod.simulate_deployment(pattern, ROD, trajectory, discretisation=wrod.Discretisation(0.06))
     with pytest.raises(RodError, match="friction"):
         wrod.simulate_deployment(pattern, ROD, trajectory, friction=-0.1)
     with pytest.raises(RodError, match="scheme"):
-        wrod.simulate_deployment(pattern, ROD, trajectory, scheme="magic")
+        wrod.simulate_deployment(
+            pattern, ROD, trajectory, discretisation=wrod.Discretisation(scheme="magic")
+        )
     assert simulate_deployments([]) == []
 
 
@@ -296,7 +298,7 @@ def test_a_disturbance_moves_the_robot_as_a_whole(plans):
     rest = tail(pattern, ROD, by_method["numeric"])
     setups = prepare_trials(
         [Trial(*plan, d, rest) for d in (Disturbance(), disturbance, shaken)],
-        *(0.05, 0.1, 0.03, 0.006, None),
+        *(0.05, 0.1, 0.03, wrod.Discretisation(0.006)),
     )
     still, moved, shaking = setups
     turn = Rotation.from_euler("z", 0.05)
@@ -353,7 +355,7 @@ def test_trajectories_of_another_pattern_or_rod_are_refused():
     line, rod = wrod.pattern("line"), wrod.rod("green-vps")
     path = wrod.plan(line, rod, "intuitive", spacing=0.02)
     longer = replace(rod, length=0.95)
-    coarse = dict(speed=0.5, spacing=0.05, step=0.05)
+    coarse = dict(speed=0.5, discretisation=wrod.Discretisation(0.05, 0.05))
     with pytest.raises(PatternError, match="is of line"):
         wrod.simulate_deployment(wrod.pattern("letter-U"), rod, path, **coarse)
     with pytest.raises(RodError, match="whose length is"):

@@ -13,7 +13,8 @@ from wrod.errors import RodError
 from wrod.solvers.contact import Friction
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.32)
-OPTIONS = dict(spacing=0.01, step=0.02, speed=0.05)
+MESH = wrod.Discretisation(0.01, 0.02)
+OPTIONS = dict(discretisation=MESH, speed=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def test_tangents_are_limits_of_differences(bend, friction, tolerance, agrees):
     directions = columns(trajectory)
     # Beside the plan, so that rotation vectors are not at their origin.
     offset = 0.002 * np.sin(20.0 * trajectory.arc_length)[:, None] * [1, 1, 1, 20, 20, 20]
-    options = OPTIONS | {"tolerance": tolerance}
+    options = OPTIONS | {"discretisation": replace(MESH, tolerance=tolerance)}
     laid = lay([trial], [directions], [offset], **options)[0]
     assert not laid.diverged
     assert (laid.slip.max() > 2e-3) == (friction < 0.2)
@@ -80,7 +81,10 @@ def test_tangents_are_limits_of_differences(bend, friction, tolerance, agrees):
 def test_friction_by_place_is_a_limit_of_differences(bend):
     """A rod that slides on a table where friction rises along the first axis."""
     pattern, trajectory = bend
-    trial, options = Trial(pattern, ROD, trajectory, Friction(0.3)), OPTIONS | {"tolerance": 1e-9}
+    trial, options = (
+        Trial(pattern, ROD, trajectory, Friction(0.3)),
+        OPTIONS | {"discretisation": replace(MESH, tolerance=1e-9)},
+    )
     ends = []
     for by in (1e-5, -1e-5):
         field = wrod.FrictionField.of(lambda x, y, by=by: 1.0 + by * x, (-1.0, 1.0), (-1.0, 1.0))
@@ -135,7 +139,7 @@ def test_torch_gradients_are_limits_of_differences(bend):
     torch.set_num_threads(1)
     pattern, trajectory = bend
     trials = [Trial(pattern, ROD, trajectory, Friction(mu)) for mu in (1.5, 0.3)]
-    options = OPTIONS | {"tolerance": 1e-9, "points": 12}
+    options = OPTIONS | {"discretisation": replace(MESH, tolerance=1e-9), "points": 12}
     rng = np.random.default_rng(3)
     start = [
         5e-4 * rng.standard_normal((2, 4, 6)) * [1, 1, 1, 20, 20, 20],

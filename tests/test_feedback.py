@@ -9,7 +9,7 @@ from cli import refused, run
 
 import wrod
 from wrod.deployment.beliefs import Beliefs, Beside, doubted, told_by
-from wrod.deployment.expectation import COARSE, FINE
+from wrod.deployment.expectation import COARSE, FINE, PACE
 from wrod.deployment.feedback import Plant, Sight, lay_with_feedback
 from wrod.deployment.replanning import Moment
 from wrod.deployment.result import errors_along
@@ -24,6 +24,7 @@ from wrod.planning.tail import Tail
 from wrod.solvers.contact import Friction
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.36)
+ROUGH = {"discretisation": replace(COARSE, tolerance=1e-5), "speed": PACE}
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +41,9 @@ def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend):
     off = Disturbance(offset=(0.0, 0.004), yaw=0.01)
     plant = Plant(ROD, Friction(0.6), off)
     followed = lay_with_feedback(
-        pattern, ROD, trajectory, 0.6, plant, every=0.06, sight=Sight(noise=2e-4), **COARSE
+        pattern, ROD, trajectory, 0.6, plant, every=0.06, sight=Sight(noise=2e-4), **ROUGH
     )
-    (blind,) = lay([Trial(pattern, ROD, trajectory, Friction(0.6), off)], **COARSE)
+    (blind,) = lay([Trial(pattern, ROD, trajectory, Friction(0.6), off)], **ROUGH)
     left, before = (
         errors_along(pattern, x.arc_length, x.centerline)[1] for x in (followed.laid, blind)
     )
@@ -81,8 +82,8 @@ def test_a_table_of_two_frictions_is_told_by_what_slid_on_it(two_bends):
     for to in np.arange(0.12, 0.36, 0.03):
         path = Way(trajectory).until(to).path
         trial = Trial(pattern, rod, path, law, Disturbance(), Tail.none(path))
-        (lies,) = lay([trial], friction_field=field, **COARSE)
-        follow([beliefs.update(to, path, [Seen.of(lies, to, Sight(), rng)], **COARSE)])
+        (lies,) = lay([trial], friction_field=field, **ROUGH)
+        follow([beliefs.update(to, path, [Seen.of(lies, to, Sight(), rng)], **ROUGH)])
     mu, error = beliefs.under(at)
     assert beliefs.field is not None
     assert (np.abs(np.log(mu / [0.4, 0.16])) < 2.0 * error).all() and error.max() < 0.3
@@ -98,7 +99,7 @@ def test_no_table_is_invented_from_noise(two_bends):
     here = believed.account.mean
     for at in np.arange(0.12, 0.36, 0.03):
         path = Way(trajectory).until(at).path
-        laid = follow([believed.felt(path, **COARSE)])[0]
+        laid = follow([believed.felt(path, **ROUGH)])[0]
         truth = replace(laid, centerline=laid.centerline - 0.5 * laid.tangent[0])
         for k, rng in enumerate(rngs):
             information, pull, _ = told_by(laid, at, Seen.of(truth, at, Sight(), rng))
@@ -159,7 +160,7 @@ def test_a_beginning_that_springs_is_laid_for_it(bend):
     assert not kept
     left = []
     for path, where in ((trajectory, np.zeros(3)), (way.path, placed)):
-        (laid,) = lay([beliefs.trial(path, where)], **FINE)
+        (laid,) = lay([beliefs.trial(path, where)], discretisation=FINE, speed=PACE)
         left.append(errors_along(pattern, laid.arc_length, laid.centerline)[1][:20].mean())
     assert left[1] < 0.75 * left[0]
 
@@ -174,7 +175,7 @@ def test_a_plant_is_shaken_as_it_was_however_long_it_goes_on(bend):
             setup.schedule.position
             for setup in prepare_trials(
                 [Trial(pattern, ROD, p, Friction(0.4), shaken, Tail.none(p)) for p in paths],
-                0.05, None, 0.04, 0.01, None,
+                0.05, None, 0.04, COARSE,
             )
         )  # fmt: skip
         # Until the shorter one nears its end, where its spline is another by some micrometres.

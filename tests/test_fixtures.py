@@ -147,7 +147,9 @@ def test_fixtures_hold_what_friction_does_not():
     jobs = [
         Trial(pattern, ROD, trajectory, wrod.Friction(0.1), fixtures=f) for f in (None, scene, None)
     ]
-    bare, held, again = simulate_deployments(jobs, spacing=0.006, speed=0.03, step=0.02, threads=1)
+    bare, held, again = simulate_deployments(
+        jobs, discretisation=wrod.Discretisation(0.006, 0.02), speed=0.03, threads=1
+    )
     assert not scene.judge(bare.released_centerline, ROD.radius).placed
     assert scene.judge(held.released_centerline, ROD.radius).placed
     assert np.abs(bare.centerline - again.centerline).max() < 1e-9  # trials come back in order

@@ -6,8 +6,8 @@ import house
 import pytest
 
 ROOT = Path(__file__).parents[1]
-# Public signatures, whose keywords are their users', and that of deployments with derivatives.
-WIDE = 7
+# Public signatures, whose keywords are their users'.
+WIDE = 5
 
 
 @pytest.fixture(scope="module")

@@ -22,6 +22,7 @@ from wrod.errors import GraspError, PatternError
 from wrod.solvers.contact import Friction
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.36)
+MESH = wrod.Discretisation(0.01, 0.02)
 
 
 @pytest.fixture(scope="module")
@@ -89,14 +90,13 @@ def test_columns_are_what_corrections_do(bend):
 
 def test_a_plain_deployment_is_that_of_the_simulation(bend):
     pattern, trajectory = bend
-    laid = lay([Trial(pattern, ROD, trajectory, Friction(0.4))], spacing=0.01, step=0.02)[0]
-    same = wrod.simulate_deployment(pattern, ROD, trajectory, 0.4, spacing=0.01, step=0.02)
+    laid = lay([Trial(pattern, ROD, trajectory, Friction(0.4))], discretisation=MESH)[0]
+    same = wrod.simulate_deployment(pattern, ROD, trajectory, 0.4, discretisation=MESH)
     np.testing.assert_allclose(laid.centerline, same.centerline, atol=1e-12)
     with_columns = lay(
         [Trial(pattern, ROD, trajectory, Friction(0.4))],
         [Directions.of_rod(len(trajectory))],
-        spacing=0.01,
-        step=0.02,
+        discretisation=MESH,
     )[0]
     np.testing.assert_array_equal(laid.centerline, with_columns.centerline)
 
@@ -109,7 +109,7 @@ def test_courses_that_are_laid_together_lie_as_they_do_alone(bend):
         trial = Trial(pattern, ROD, trajectory, Friction(mu))
         bump = np.exp(-0.5 * ((trajectory.arc_length - 0.1) / 0.03) ** 2)[:, None] * np.eye(6)[1]
         columns = [Directions.of_path(np.tile(bump, (count, 1, 1)))] if count else None
-        how = {"spacing": spacing, "step": 0.02, "speed": 0.05, "release": release}
+        how = {"discretisation": replace(MESH, spacing=spacing), "speed": 0.05, "release": release}
         return Asked([trial], columns, how)
 
     asked = [
@@ -118,8 +118,9 @@ def test_courses_that_are_laid_together_lie_as_they_do_alone(bend):
     together = _laid(dict(enumerate(asked)), {"device": "cpu"})
     nodes = len(together[0][0].arc_length)
     for one, (laid,) in zip(asked, (together[k] for k in range(3)), strict=True):
-        how = {**one.how, "node_count": None if one.directions is None else nodes}
-        (alone,) = lay(one.trials, one.directions, **how)
+        count = None if one.directions is None else nodes
+        mesh = replace(one.how["discretisation"], node_count=count)
+        (alone,) = lay(one.trials, one.directions, **{**one.how, "discretisation": mesh})
         np.testing.assert_allclose(laid.centerline, alone.centerline, atol=1e-12)
         assert laid.tangent.shape == alone.tangent.shape
         np.testing.assert_allclose(laid.tangent, alone.tangent, atol=1e-9)
@@ -129,7 +130,8 @@ def test_a_plan_has_its_own_mesh_in_any_company(bend, monkeypatch):
     pattern, trajectory = bend
     counts = []
 
-    def laid(trials, directions, *, node_count, **_):
+    def laid(trials, directions, *, discretisation, **_):
+        node_count = discretisation.node_count
         counts.append((len(trials), node_count))
         nothing = np.zeros((node_count, 3))
         s, n = np.linspace(0.0, 0.4, node_count), len(directions[0])
@@ -165,7 +167,7 @@ def test_courses_out_of_step_wait_for_each_other(bend, monkeypatch):
 
     def course(extra):
         for how in [kinds[0]] * extra + kinds * 3:
-            yield Asked([trial], None, {"spacing": 0.01, **how})
+            yield Asked([trial], None, {"discretisation": MESH, **how})
         return extra
 
     monkeypatch.setattr(together, "resolve_device", lambda device: device)

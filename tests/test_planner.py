@@ -223,7 +223,7 @@ def test_what_hangs_of_a_spun_rod_is_twisted_as_much_as_the_hand_has_turned():
 
 
 def test_grasps_that_know_the_twist_lay_a_spun_rod_where_the_table_holds_its_roll():
-    from wrod.deployment.expectation import COARSE
+    from wrod.deployment.expectation import COARSE, PACE
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial
     from wrod.deployment.tangents import lay
@@ -239,7 +239,7 @@ def test_grasps_that_know_the_twist_lay_a_spun_rod_where_the_table_holds_its_rol
     trials = [Trial(pattern, rod, t, law, Disturbance(), Tail.none(t)) for t in plans]
     off = [
         np.abs(one.centerline[one.arc_length < pattern.length, 1]).mean()
-        for one in lay(trials, None, hold=0.05, tolerance=1e-3, device="cpu", **COARSE)
+        for one in lay(trials, None, hold=0.05, discretisation=COARSE, speed=PACE)
     ]
     assert off[0] > 2e-3 and off[1] < 3e-4
 

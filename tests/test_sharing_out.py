@@ -22,7 +22,7 @@ def test_deployments_shared_out_are_those_of_one_batch(device, letter, monkeypat
         wrod.Trial(pattern, rod, letter, wrod.Friction(0.6), wrod.Disturbance.random(seed))
         for seed in range(3)
     ]
-    how = dict(step=0.02, spacing=0.03, device=device)
+    how = dict(discretisation=wrod.Discretisation(0.03, 0.02), device=device)
     together = simulate_deployments(trials, **how)
     monkeypatch.setattr(simulate, "_chunks", lambda count, device, threads: ([[0, 2], [1]], 1))
     shared_out = simulate_deployments(trials, **how)
@@ -37,7 +37,7 @@ def test_threads_of_the_caller_get_what_one_gets_alone():
     path = wrod.plan(pattern, rod, "intuitive", spacing=0.05)
 
     def lay(_) -> float:
-        coarse = dict(spacing=0.05, step=0.05, speed=0.2)
+        coarse = dict(discretisation=wrod.Discretisation(0.05, 0.05), speed=0.2)
         return wrod.simulate_deployment(pattern, rod, path, 0.6, **coarse).error_mean
 
     def grasp(_) -> list:

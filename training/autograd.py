@@ -204,8 +204,8 @@ def lay_differentiable(
         natural_curvature: (n,) or () of the rods at rest, to the left of the direction in which
             they are laid [1/m].
         points: P, evenly along each pattern.
-        options: hold, release, speed, spacing, node_count, step, scheme, tolerance,
-            friction_field and device of `wrod.simulate_deployments`.
+        options: hold, release, speed, discretisation, friction_field and device of
+            `wrod.simulate_deployments`.
 
     Returns:
         (n, P, 3) where the rods lie at the end of their patterns, the grip still holding, at the

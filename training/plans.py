@@ -17,7 +17,7 @@ from wrod.controller.corrector import Corrector
 from wrod.controller.corrector import Course as Asked
 from wrod.deployment.corrections import Corrections
 from wrod.deployment.distilled import asked
-from wrod.deployment.expectation import TOLERANCE, misplacement
+from wrod.deployment.expectation import misplacement
 from wrod.deployment.optimise import Task, course, sample_of
 from wrod.deployment.plan import plan
 from wrod.deployment.result import METRIC_POINTS
@@ -255,7 +255,7 @@ def _follow(
     for first in range(0, len(missing), together):
         chosen = missing[first : first + together]
         courses = [make(index) for index in chosen]
-        solved = follow(courses, hold=_HOLD, tolerance=TOLERANCE, device=device)
+        solved = follow(courses, hold=_HOLD, device=device)
         for index, one in zip(chosen, solved, strict=True):
             store(paths[index], one)
             told()

@@ -1,6 +1,7 @@
 """Public names, for editors, type checkers and the lazy imports of `wrod`."""
 
 from .controller.controller import Controller as Controller
+from .deployment.discretisation import Discretisation as Discretisation
 from .deployment.fixtures import Fixtures as Fixtures
 from .deployment.plan import plan as plan
 from .deployment.result import Deployment as Deployment

@@ -70,6 +70,19 @@ def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
     return decorate
 
 
+def check_fields(one: Any, error: type[WrodError], **checks: Check) -> None:
+    """Refuse an object with a wrong attribute, as `checked` does arguments.
+
+    Raises:
+        error: names class and attribute.
+    """
+    for name, check in checks.items():
+        value = getattr(one, name)
+        wrong = check(value)
+        if wrong is not None:
+            raise error(f"{type(one).__name__}: {name} is {shown(value)}; it {wrong}")
+
+
 def _name(function: Callable, args: tuple) -> str:
     """Of a method that was inherited, the class that was asked."""
     owner, _, name = function.__qualname__.rpartition(".")
@@ -381,16 +394,3 @@ def parse_list(
             f"{option} is {text!r:.80}; give {kind} from {low:g} to {high:g} with commas between"
         )
     return found
-
-
-def refuse_idle_options(beside: str, *names: str) -> None:
-    """Refuse options, named as `names` without dashes, that were given and would do nothing."""
-    import click
-    from click.core import ParameterSource
-
-    context = click.get_current_context()
-    known = {opt: str(param.name) for param in context.command.params for opt in param.opts}
-    for name in names:
-        option = f"--{name}"
-        if context.get_parameter_source(known[option]) == ParameterSource.COMMANDLINE:
-            raise DataError(f"{option} does nothing beside {beside}; leave it out")

@@ -9,6 +9,9 @@ from types import NoneType
 from typing import Any
 
 import click
+from click.core import ParameterSource
+
+from wrod.errors import DataError
 
 
 def option(said: str | None, *flags: str, left_out: Any = MISSING, **how: Any) -> Any:
@@ -61,3 +64,13 @@ def _option(kind: type, name: str, defaults: dict[str, Any]) -> Callable:
     else:
         usual["type"] = click.Path(path_type=Path) if first is Path else first
     return click.option(*(flags or (f"--{name.replace('_', '-')}",)), name, **usual | how)
+
+
+def refuse_idle_options(beside: str, *names: str) -> None:
+    """Refuse options, named as `names` without dashes, that were given and would do nothing."""
+    context = click.get_current_context()
+    known = {opt: str(param.name) for param in context.command.params for opt in param.opts}
+    for name in names:
+        option = f"--{name}"
+        if context.get_parameter_source(known[option]) == ParameterSource.COMMANDLINE:
+            raise DataError(f"{option} does nothing beside {beside}; leave it out")

@@ -140,10 +140,17 @@ class Common:
     device: str = option("cpu, cuda:0 or auto.", default="auto")
 
     @property
-    def how(self) -> dict[str, float]:
-        """How trials are simulated."""
+    def settings(self) -> dict[str, float]:
+        """What trials have to have in common, in the ledger's words."""
         names = ("speed", "step", "spacing", "release")
         return {name: getattr(self, name) for name in names}
+
+    def how(self, node_count: int | None = None) -> dict[str, Any]:
+        """How trials are simulated."""
+        from wrod.deployment.discretisation import Discretisation
+
+        mesh = Discretisation(self.spacing, self.step, node_count=node_count)
+        return {"discretisation": mesh, "speed": self.speed, "release": self.release}
 
     @property
     def source(self) -> str:

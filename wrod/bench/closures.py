@@ -61,7 +61,7 @@ def command(trials: int, common: campaign.Common, **given) -> None:
     device, out = resolve_device(common.device), common.out
     frictions, curves = _asked_for(common.patterns, **given)
     nodes = _nodes(curves, common.spacing)
-    settings = common.how | {"nodes": nodes, "patterns": common.source}
+    settings = common.settings | {"nodes": nodes, "patterns": common.source}
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures", row_schemas.CampaignRow)
     wanted = len(curves) * len(frictions) * (trials * len(METHODS) + 1)
     longest = max(curve.rod.length for curve in curves)
@@ -78,7 +78,7 @@ def command(trials: int, common: campaign.Common, **given) -> None:
         (curve.rod_name, curve.name, mu, PUT_DOWN, 0) for curve, mu in product(curves, frictions)
     ]
     by_name = {(curve.rod_name, curve.name): curve for curve in curves}
-    how: dict[str, Any] = common.how | {"node_count": nodes, "device": device}
+    how: dict[str, Any] = common.how(nodes) | {"device": device}
 
     def lay(part, progress):
         return _laid_rows(part, by_name, plans, how | {"progress": progress})

@@ -32,6 +32,7 @@ def command(
 ) -> None:
     """Time one deployment and a batch on one thread; halve edges, steps, both, and speed."""
     from wrod.bench.campaign import points_of
+    from wrod.deployment.discretisation import Discretisation
     from wrod.deployment.plan import plan
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
@@ -50,6 +51,7 @@ def command(
     rest = tail(curve, material, path)
 
     def simulate(count: int = 1, **options):
+        cut = {name: value for name, value in options.items() if name != "speed"}
         trials = [
             Trial(
                 curve, material, path, Friction(friction),
@@ -58,7 +60,10 @@ def command(
             for k in range(count)
         ]  # fmt: skip
         clock, cpu = time.perf_counter(), time.process_time()
-        deployments = simulate_deployments(trials, device=device, threads=1, **options)
+        deployments = simulate_deployments(
+            trials, speed=options.get("speed", 0.02), discretisation=Discretisation(**cut),
+            device=device, threads=1,
+        )  # fmt: skip
         wall, cpu = time.perf_counter() - clock, time.process_time() - cpu
         steps = sum(d.steps for d in deployments)
         return deployments[0], {

@@ -195,7 +195,7 @@ def _course(shelf, key: tuple, how: dict):
     """The deployments of a trial, and its row."""
     from dataclasses import asdict
 
-    from wrod.deployment.expectation import FINE
+    from wrod.deployment.expectation import FINE, PACE
     from wrod.deployment.feedback import following
     from wrod.deployment.result import errors_along
     from wrod.deployment.sight import Sight
@@ -206,18 +206,19 @@ def _course(shelf, key: tuple, how: dict):
     rod_name, name, effect, way, seed = key
     led, material = shelf.course(rod_name, name)
     trajectory = shelf.plan(rod_name, name, how["friction"], "optimised")
+    how_laid: dict[str, Any] = {"discretisation": FINE, "speed": PACE}
     plant = _world(effect, led, material, how["friction"], seed, how["undisturbed"])
     looks: list = []
     if way == "blind":
         rest = Tail.none(trajectory)
         trial = Trial(led, plant.rod, trajectory, plant.friction, plant.disturbance, rest)
-        (laid,) = yield Asked([trial], None, {"friction_field": plant.friction_field, **FINE})
+        (laid,) = yield Asked([trial], None, {"friction_field": plant.friction_field, **how_laid})
     else:
         told = dict(WAYS[way])
         seeing = {k: told.pop(k) for k in ("hanging",) if k in told}
         followed = yield from following(
             led, material, trajectory, how["friction"], plant, every=how["every"],
-            horizon=how["horizon"], sight=Sight(seed=seed, **seeing), **told, **FINE,
+            horizon=how["horizon"], sight=Sight(seed=seed, **seeing), **told, **how_laid,
         )  # fmt: skip
         laid, looks = followed.laid, followed.looks
     error = 100.0 * errors_along(led, laid.arc_length, laid.centerline)[1]

@@ -8,7 +8,7 @@ import click
 import numpy as np
 
 from wrod import cost
-from wrod.arguments import refuse_idle_options
+from wrod.options import refuse_idle_options
 from wrod.telling import json_option, tell
 
 CABLES = ("black-short", "orange-long")

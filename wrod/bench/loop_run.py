@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from wrod import cost
-from wrod.arguments import refuse_idle_options
 from wrod.bench.loop_measurements import clamped_experiment
 from wrod.bench.loop_options import Loop
 from wrod.bench.loop_report import draw, markdown, summary, write_csv
@@ -20,6 +19,7 @@ from wrod.bench.loop_trials import (
 )
 from wrod.bench.table3_paper import PATTERNS, read_pattern
 from wrod.deployment.bounds import refuse_long_moves
+from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.simulate import simulate_deployments
 from wrod.files import write_text
 from wrod.identification import identify
@@ -27,6 +27,7 @@ from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.effect import effects_asked
 from wrod.identification.motion.loading import load_motion
 from wrod.machine import machine_line
+from wrod.options import refuse_idle_options
 from wrod.planning.roll import read_roll
 from wrod.rods.catalogue import rod
 from wrod.rods.material import RodMaterial
@@ -190,8 +191,8 @@ def _laid(loop: Loop, cases: dict[str, Case], curves: dict) -> list[dict]:
             jobs |= trials_along(name, curve, cases, loop.controllers, law, hold, loop.known_table)
     with loop.timed("deployments"), loop.bar("laid") as bar:
         laid = simulate_deployments(
-            list(jobs.values()), speed=loop.speed, step=loop.step, spacing=loop.spacing,
-            device=loop.device, hold=hold,
+            list(jobs.values()), speed=loop.speed, device=loop.device, hold=hold,
+            discretisation=Discretisation(loop.spacing, loop.step),
             progress=lambda fraction: bar.update(min(100 * fraction, bar.total - bar.n)),
         )  # fmt: skip
     return [row(key, jobs[key], d) for key, d in zip(jobs, laid, strict=True)]

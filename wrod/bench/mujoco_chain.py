@@ -14,6 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.setup import Setup, blend
 from wrod.deployment.simulate import Trial, prepare_trials, with_remainder_of
@@ -182,7 +183,7 @@ def lay_in_mujoco(
         RodError: MuJoCo is not installed, the rod is not uniform, or the simulation blew up.
     """
     (setup,) = prepare_trials(
-        [trial], hold, hold if release is None else release, speed, segment, None
+        [trial], hold, hold if release is None else release, speed, Discretisation(segment)
     )
     rod, told = trial.rod, trial.disturbance
     if isinstance(rod, RodModel):

@@ -6,7 +6,8 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.arguments import parse_list, refuse_idle_options
+from wrod.arguments import parse_list
+from wrod.options import refuse_idle_options
 from wrod.telling import asked, json_option
 
 # Steps of the implicit solvers over the period.

@@ -97,7 +97,7 @@ def _planned(led, material, friction: float, device: str) -> dict:
 def _derived(led, material, friction: float, count: int, device: str) -> dict:
     """Time of a batch of rods with and without derivatives, and how far a CPU's lie apart."""
     from wrod.deployment.corrections import Corrections
-    from wrod.deployment.expectation import COARSE, TOLERANCE
+    from wrod.deployment.expectation import COARSE, PACE
     from wrod.deployment.plan import plan
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial
@@ -115,7 +115,7 @@ def _derived(led, material, friction: float, count: int, device: str) -> dict:
 
     def timed(asked, where: str, chosen: list[Trial]):
         clock = time.perf_counter()
-        laid = lay(chosen, asked, tolerance=TOLERANCE, device=where, **COARSE)
+        laid = lay(chosen, asked, discretisation=COARSE, speed=PACE, device=where)
         return time.perf_counter() - clock, laid
 
     each = [directions] * count
@@ -133,12 +133,11 @@ def _derived(led, material, friction: float, count: int, device: str) -> dict:
 
 def _together(count: int, device: str) -> dict:
     """Time of plans of random patterns that are optimised together, as for `wrod distil`."""
-    from wrod.deployment.expectation import TOLERANCE
     from wrod.deployment.together import follow
     from wrod.training.plans import solve
 
     clock = time.perf_counter()
-    made = follow([solve(k, 0) for k in range(count)], tolerance=TOLERANCE, device=device)
+    made = follow([solve(k, 0) for k in range(count)], device=device)
     return {
         "plans": sum(one is not None for one in made), "seconds": time.perf_counter() - clock
     }  # fmt: skip

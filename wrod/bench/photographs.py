@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from wrod.arguments import refuse_idle_options
+from wrod.options import refuse_idle_options
 from wrod.telling import json_option, tell
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod import cost, side_by_side
+from wrod.deployment.discretisation import Discretisation
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 from wrod.identification.laid.photographs import LaidPhotograph
@@ -24,8 +25,9 @@ class Deployments:
     def __init__(self, path: Path, settings: dict, *, device, threads, workers=1):
         self.path, self.workers, self.device = path, workers, device
         self._ledger = Ledger(path, settings, KEYS, "photographs", row_schemas.LaidRow)
-        self._options = {k: settings[k] for k in ("spacing", "step")}
-        self._options |= {"device": device, "threads": threads if workers == 1 else 1}
+        self._mesh = Discretisation(settings["spacing"], settings["step"])
+        threads = threads if workers == 1 else 1
+        self._options = {"discretisation": self._mesh, "device": device, "threads": threads}
 
     def of(
         self, photograph: LaidPhotograph, method: str, scenarios: dict[str, Scenario]
@@ -58,7 +60,7 @@ class Deployments:
         count = sum(len(scenarios) for _, _, scenarios, _ in jobs)
         work = cost.deployments(
             count, max(preset(photograph.rod).length for photograph, *_ in jobs), speed=SPEED,
-            step=self._options["step"], spacing=self._options["spacing"], device=self.device,
+            step=self._mesh.step, spacing=self._mesh.spacing, device=self.device,
         )  # fmt: skip
         # At most a thousand scenarios a picture, a few dozen at once: no more than a machine has.
         cost.settle(cost.Cost(work.seconds), f"{count} deployments", force=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_judge import Verdict
+from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.files import write_figure
 from wrod.identification.laid.camera import OverheadCamera
@@ -222,8 +223,7 @@ def _lay(photograph: LaidPhotograph, group: list[Mechanism], device: str) -> lis
     laid = simulate_deployments(
         trials,
         hold=HELD if group[0].scenario.held else 0.0,
-        spacing=_SPACING,
-        step=_FAST_STEP if group[0].fast else _STEP,
+        discretisation=Discretisation(_SPACING, _FAST_STEP if group[0].fast else _STEP),
         speed=group[0].speed,
         device=device,
         threads=1,

@@ -80,13 +80,14 @@ def _deployments(count: int, rounds: int, device: str) -> dict:
     from wrod.bench.table3 import _plans, _trial
     from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, read_pattern
     from wrod.deployment.assembly import assemble
-    from wrod.deployment.simulate import nodes_needed, prepare_trials
+    from wrod.deployment.discretisation import USUAL
+    from wrod.deployment.simulate import prepare_trials
 
     plans = _plans(RODS, {name: read_pattern(name, None) for name in PATTERNS}, None, device)
     keys = product(range(10), RODS, SUBSTRATES, PATTERNS, METHODS)
     keys = [(rod, table, name, method, trial) for trial, rod, table, name, method in keys]
     trials = [_trial(key, plans) for key in islice(cycle(keys), count)]
-    setups = prepare_trials(trials, 0.05, 0.05, 0.02, 0.005, nodes_needed(trials, 0.005))
+    setups = prepare_trials(trials, 0.05, 0.05, 0.02, USUAL)
     _, _, dynamics = assemble(trials, setups, device=device)
     return {"what": "deployments", **_timed(dynamics, 0.0, rounds)}
 

@@ -105,7 +105,7 @@ def command(
     from wrod.bench.mujoco_chain import require_mujoco
     from wrod.rods.device import resolve_device
 
-    out, spacing = common.out, common.spacing
+    out = common.out
     chosen, played = some(methods, "method", METHODS), some(engines, "engine", ENGINES)
     by = _disturbing(undisturbed, disturbed)
     if "mujoco" in played:
@@ -113,12 +113,11 @@ def command(
     device = resolve_device(common.device)
     shelf = Shelf(out / "plans", common.patterns, device)
     mus = parse_list(frictions, "--frictions", 0.01, 10.0)
-    pace = {"speed": common.speed, "step": common.step, "release": common.release}
-    settings = {**pace, "spacing": spacing, "patterns": common.source, "disturbed": by}
+    settings = {**common.settings, "patterns": common.source, "disturbed": by}
     if "mujoco" in played:
         settings["chain_step"] = chain_step
-    how = {**pace, "disturbed": by, "chain_step": chain_step}
-    shelf.refuse(product(rods.split(","), names.split(",")), spacing, pace)
+    how = {**common.how(), "disturbed": by, "chain_step": chain_step}
+    shelf.refuse(product(rods.split(","), names.split(",")), common)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery", row_schemas.SlipperyRow)
     cells = list(product(rods.split(","), names.split(","), mus, chosen, played))
     keys = [
@@ -128,7 +127,7 @@ def command(
         if (trial == 0 or cell[3] != PUT_DOWN) and (cell[3] != "feedback" or cell[4] == "wrod")
     ]
 
-    jobs = [(shelf, key, spacing, how) for key in ledger.lacking(keys)]
+    jobs = [(shelf, key, how) for key in ledger.lacking(keys)]
     longest = max(shelf.course(*cell[:2])[1].length for cell in cells)
     campaign.settle(common, len(jobs), longest, _effort([key for _, key, *_ in jobs]))
     shelf.stock([(*key[:3], _CORRECTED[key[3]]) for _, key, *_ in jobs if key[3] in _CORRECTED],
@@ -189,12 +188,12 @@ class Shelf:
         """The pattern as `plan` lays it, and the rod."""
         return _led(rod_name, name, self.patterns)
 
-    def refuse(self, places: Iterable[tuple[str, str]], spacing: float, pace: dict) -> None:
+    def refuse(self, places: Iterable[tuple[str, str]], common: campaign.Common) -> None:
         """Refuse (rod, pattern) that are none, or cannot be laid so, before anything is written."""
         from wrod.deployment.bounds import refuse_coarse_edges, refuse_long_moves
 
-        refuse_long_moves(pace["speed"], pace["step"])
-        refuse_coarse_edges([self.course(*place)[1] for place in places], spacing)
+        refuse_long_moves(common.speed, common.step)
+        refuse_coarse_edges([self.course(*place)[1] for place in places], common.spacing)
 
     def bends(self, rod_name: str, name: str) -> bool:
         """Whether the pattern's largest curvature is over 0.4 / L_gb."""
@@ -210,8 +209,6 @@ class Shelf:
     def stock(self, cells: list[tuple], workers: int = 1) -> None:
         """Make the optimised plans among these (rod, pattern, friction, method) that are not there:
         together on a GPU, in processes on a CPU."""
-        from wrod.deployment.expectation import TOLERANCE
-
         jobs = [
             (self, *cell)
             for cell in dict.fromkeys(cells)
@@ -221,7 +218,7 @@ class Shelf:
         def save(job: tuple, made) -> None:
             made.save(self.place(*job[1:]))
 
-        courses.run(_planning, jobs, save, device=self.device, workers=workers, tolerance=TOLERANCE)
+        courses.run(_planning, jobs, save, device=self.device, workers=workers)
 
     def plan(self, rod_name: str, name: str, friction: float, method: str):
         """The trajectory of that method; friction counts for those that are corrected alone."""
@@ -270,7 +267,7 @@ def _planning(shelf: Shelf, rod_name: str, name: str, friction: float, method: s
     return (yield from course(Task(led, material, start, friction)))
 
 
-def _course(shelf: Shelf, key: tuple, spacing: float, how: dict):
+def _course(shelf: Shelf, key: tuple, how: dict):
     """What is laid in a trial, and its row."""
     from wrod.bench.mujoco_chain import lay_in_mujoco, put_down_in_mujoco
     from wrod.bench.put_down import put_down
@@ -289,7 +286,8 @@ def _course(shelf: Shelf, key: tuple, spacing: float, how: dict):
     if method == PUT_DOWN and engine == "mujoco":
         s, place = put_down_in_mujoco(led, material, mu)
     elif method == PUT_DOWN:
-        nodes = int((led.length + led.remainder_length) / spacing) + 2
+        edges = (led.length + led.remainder_length) / how["discretisation"].spacing
+        nodes = int(edges) + 2
         job = (led, material, Friction(mu))
         (end,) = put_down([job], node_count=nodes, step=0.02, device="cpu")
         s, place, diverged, steps = end
@@ -304,7 +302,6 @@ def _course(shelf: Shelf, key: tuple, spacing: float, how: dict):
             asked = dict(release=how["release"], speed=how["speed"], step=chain_step)
             s, place = lay_in_mujoco(trial, **asked)
         else:
-            how |= {"spacing": spacing}
             if method == "feedback":
                 plant = Plant(material, Friction(mu), told)
                 sight = Sight(seed=seed)

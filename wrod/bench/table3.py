@@ -8,11 +8,10 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.arguments import refuse_idle_options
 from wrod.bench import campaign, courses
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
 from wrod.files.ledger import Ledger
-from wrod.options import gathered, option
+from wrod.options import gathered, option, refuse_idle_options
 from wrod.telling import json_option
 
 
@@ -58,7 +57,7 @@ class _Asked:
     def settings(self, common: campaign.Common) -> dict:
         """What has to be the same for trials to stand in one table."""
         closure = "favoured" if self.closure is None else self.closure
-        settings = common.how | {"closure": closure, "patterns": common.source}
+        settings = common.settings | {"closure": closure, "patterns": common.source}
         return settings | ({"known_table": True} if self.known_table else {})
 
 
@@ -104,7 +103,7 @@ def command(asked: _Asked, common: campaign.Common) -> None:
     def simulate(part, progress):
         deployments = simulate_deployments(
             [_trial(key, plans) for key in part],
-            node_count=nodes, device=device, progress=progress, **common.how,
+            device=device, progress=progress, **common.how(nodes),
         )  # fmt: skip
         return [
             dict(zip(KEYS, key, strict=True)) | campaign.figures_of(laid, _plan_of(key, plans)[0])
@@ -165,7 +164,6 @@ def _plans(rods, curves: dict, closure: str | None, device: str) -> dict:
 def _corrected_plans(plans: dict, substrates, folder: Path, device: str, workers: int) -> dict:
     """(rod, substrate, pattern, "numeric") -> the same as `_plans`, corrected for the table."""
     from wrod.bench.table3_paper import friction
-    from wrod.deployment.expectation import TOLERANCE
     from wrod.planning.tail import tail
     from wrod.planning.trajectory import Trajectory
 
@@ -182,7 +180,7 @@ def _corrected_plans(plans: dict, substrates, folder: Path, device: str, workers
             best.save(job[0])
             bar.update(1)
 
-        courses.run(_course, jobs, save, device=device, workers=workers, tolerance=TOLERANCE)
+        courses.run(_course, jobs, save, device=device, workers=workers)
     corrected = {}
     for cell, path in paths.items():
         led, material, *_ = plans[cell[0], cell[2], cell[3]]

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.arguments import refuse_idle_options
+from wrod.options import refuse_idle_options
 from wrod.telling import json_option, tell
 
 RODS = ("pink-vps", "green-vps", "rope")

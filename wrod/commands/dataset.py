@@ -6,9 +6,8 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.arguments import refuse_idle_options
 from wrod.commands.options import CLOSURE, DEVICE, ROLL, RodOptions
-from wrod.options import gathered
+from wrod.options import gathered, refuse_idle_options
 from wrod.telling import asked, json_option, tell
 
 

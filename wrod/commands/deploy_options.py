@@ -6,9 +6,8 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.arguments import refuse_idle_options
 from wrod.commands.options import closure_option, method_option
-from wrod.options import option
+from wrod.options import option, refuse_idle_options
 
 _PAGE_INTERVAL = 0.25  # [s] between the states that the page shows
 

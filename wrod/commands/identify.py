@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from wrod import cost
-from wrod.arguments import refuse_idle_options
+from wrod.options import refuse_idle_options
 from wrod.telling import asked, json_option, tell
 
 # Parameters of an effect that are printed.

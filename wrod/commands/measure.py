@@ -4,9 +4,8 @@ from pathlib import Path
 
 import click
 
-from wrod.arguments import refuse_idle_options
 from wrod.commands.options import PICTURE, UNITS, PatternOptions
-from wrod.options import gathered
+from wrod.options import gathered, refuse_idle_options
 from wrod.telling import asked, json_option, tell
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.arguments import refuse_idle_options
 from wrod.commands.options import (
     DEVICE,
     DRAWING,
@@ -35,7 +34,7 @@ from wrod.commands.plan_summary import read_friction, read_range, summary
 from wrod.commands.robot_options import RobotRequest
 from wrod.commands.running import draw_beside
 from wrod.errors import PatternError
-from wrod.options import gathered, option
+from wrod.options import gathered, option, refuse_idle_options
 from wrod.telling import json_option, tell
 
 # Length that is laid, and of the rod, [m] of the plan that `cost.CORRECTED_PLAN` is of.

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.arguments import refuse_idle_options
+from wrod.options import refuse_idle_options
 
 
 def _size(ctx, param, value: str) -> tuple[int, int]:

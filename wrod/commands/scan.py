@@ -7,9 +7,8 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.arguments import refuse_idle_options
 from wrod.commands.options import SCALE, PatternOptions, parse_numbers, parse_start
-from wrod.options import gathered, option
+from wrod.options import gathered, option, refuse_idle_options
 from wrod.telling import asked, json_option
 
 

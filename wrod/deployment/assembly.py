@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.grip_path import GripMotion
 from wrod.deployment.setup import Setup
@@ -27,9 +28,8 @@ _AIR_DAMPING = 1.0
 def assemble(
     trials: list[Trial],
     setups: list[Setup],
+    discretisation: Discretisation = USUAL,
     *,
-    scheme: str = "euler",
-    tolerance: float = 1e-5,
     device: str = "cpu",
     keeps_recording: bool = False,
     friction_field: FrictionField | None = None,
@@ -53,7 +53,7 @@ def assemble(
     drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
     dynamics = Dynamics(
         batch,
-        scheme=scheme,
+        scheme=discretisation.scheme,
         radius=radius,
         drag=None if drag is None else np.stack([np.zeros_like(drag), drag], axis=2),
         air_damping=np.array([rod.air_damping or _AIR_DAMPING for rod in rods]),
@@ -63,8 +63,8 @@ def assemble(
             batch, [setup.schedule for setup in setups], [rod.principal_angle for rod in rods]
         ),
         force_scale=load,
-        tolerance=tolerance,
-        max_iterations=_ITERATIONS[int(tolerance >= _TIGHT)],
+        tolerance=discretisation.tolerance,
+        max_iterations=_ITERATIONS[int(discretisation.tolerance >= _TIGHT)],
         keeps_recording=keeps_recording,
     )
     return batch, contact, dynamics

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wrod.deployment.expectation import FINE
+from wrod.deployment.expectation import FINE, PACE
 from wrod.deployment.places import Places
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, interpolated
@@ -34,7 +34,7 @@ _VARIES = 0.05
 # it is made linear anew for a larger one.
 _LINEAR, _ITERATIONS = 0.2, 2
 # Residual forces that are enough for what is believed, see `lay`: what lies changes by 1 um.
-_TOLERANCE = 1e-4
+_MESH = replace(FINE, tolerance=1e-4)
 # Points along a rod where friction by place is said to it.
 _ALONG = 400
 # What a point differs by though the beliefs are right: mesh, shaking, whatever else [m]; and how
@@ -187,7 +187,7 @@ class Beliefs:
         **options,
     ) -> Asked:
         """What is believed in, laid by paths and `placed` as in `trial`."""
-        given = {"friction_field": self.field, "tolerance": _TOLERANCE, **FINE, **options}
+        given = {"friction_field": self.field, "discretisation": _MESH, "speed": PACE, **options}
         return Asked([self.trial(*way) for way in ways], directions, given)
 
     def update(

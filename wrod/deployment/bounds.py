@@ -13,10 +13,9 @@ _LONGEST_MOVE, _LONGEST_EDGE = 0.05, 3.0
 _SAME_PATTERN, _SAME_ROD = 2e-3, 0.01
 
 
-def check_pace(speed: float, spacing: float, hold: float, release: float) -> None:
-    for name, value in (("speed", speed), ("spacing", spacing)):
-        if not (np.isfinite(value) and value > 0):
-            raise RodError(f"{name} is {value!r}; give a positive finite number")
+def check_pace(speed: float, hold: float, release: float) -> None:
+    if not (np.isfinite(speed) and speed > 0):
+        raise RodError(f"speed is {speed!r}; give a positive finite number")
     if not (np.isfinite(hold) and hold >= 0):
         raise RodError(f"hold is {hold!r}; give a length in metres, or 0 for a free end")
     check_release(hold, release)
@@ -27,9 +26,10 @@ def check_release(hold: float, release: float) -> None:
         raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
 
 
-def refuse_endless(trials, speed, spacing, step, frame_interval) -> None:
+def refuse_endless(trials, speed, discretisation, frame_interval) -> None:
     """Refuse what no machine ends, or this one has no memory for, or steps and edges that miss
     what happens, before anything is laid."""
+    spacing, step = discretisation.spacing, discretisation.step
     refuse_coarse_edges([trial.rod for trial in trials], spacing)
     refuse_long_moves(speed, step)
     longest = max(float(trial.rod.length) for trial in trials)

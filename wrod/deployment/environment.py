@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod import arguments
 from wrod.deployment.assembly import assemble
+from wrod.deployment.discretisation import USUAL
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance, one_hemisphere
@@ -37,7 +38,7 @@ except ImportError as error:
 
 _ROD_POINTS, _AHEAD = 24, 8  # points of the rod, and of the pattern ahead, that are observed
 _LOOK = 0.1  # [m] of pattern ahead
-_HOLD, _RELEASE, _SPEED, _SPACING = 0.05, 0.05, 0.02, 0.005
+_HOLD, _RELEASE, _SPEED = 0.05, 0.05, 0.02
 _LOST = 10.0  # [cm] that a rod costs whose simulation ends early
 
 
@@ -144,7 +145,7 @@ class LayingVectorEnv(OnDevice, VectorEnv):
             )
             for mu, k in zip(self.mu, seeds, strict=True)
         ]  # fmt: skip
-        setups = prepare_trials(trials, _HOLD, _RELEASE, _SPEED, _SPACING, None)
+        setups = prepare_trials(trials, _HOLD, _RELEASE, _SPEED, USUAL)
         batch, _, dynamics = assemble(trials, setups, device=self.device)
         motion: Any = dynamics.motion
         self._episode = _Episode(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.result import METRIC_POINTS, interpolation
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
@@ -23,13 +24,14 @@ from wrod.solvers.contact import Friction
 # How rods are laid where plans are made, where these are judged, and where what lies is compared
 # with a picture: points of the first two are 0.3 mm from those of edges of 5 mm and half the step,
 # and means of their errors 0.05 and 0.02 mm.
-COARSE: dict[str, Any] = {"spacing": 0.01, "step": 0.02, "speed": 0.04}
-JUDGING: dict[str, Any] = {**COARSE, "spacing": 0.0075}
-FINE: dict[str, Any] = {**COARSE, "spacing": 0.005}
+# Residual forces of the first two, which change what lies by 0.003 mm.
+COARSE = Discretisation(spacing=0.01, step=0.02, tolerance=1e-3)
+JUDGING = replace(COARSE, spacing=0.0075)
+FINE = Discretisation(spacing=0.005, step=0.02)
+# Speed of the contact [m/s].
+PACE = 0.04
 # Largest edges of the first two [L_gb]: a correction must not be for what a coarse mesh does.
 COARSE_EDGE, JUDGING_EDGE = 1.0 / 3.0, 1.0 / 4.5
-# Residual forces that are enough for it, see `lay`: these change what lies by 0.003 mm.
-TOLERANCE = 1e-3
 # Disturbed rods that are laid by the finished plan, none of which the optimisation has seen.
 _UNSEEN = 10
 # Friction of a table that nobody measured, and rods that are laid on such tables.
@@ -49,7 +51,7 @@ def expect(
     *,
     trials: int = _UNSEEN,
     hold: float = 0.05,
-    pace: float = JUDGING["speed"],
+    pace: float = PACE,
     coarse: bool = False,
     device: str | None = "cpu",
     watch: Watch | None = None,
@@ -72,7 +74,7 @@ def expect(
         the pattern [m]; diverged: how many did.
     """
     course = expecting(pattern, rod, [trajectory], friction, trials, pace, coarse)
-    how: dict[str, Any] = {"hold": hold, "tolerance": TOLERANCE, "watch": watch}
+    how: dict[str, Any] = {"hold": hold, "watch": watch}
     (expected,) = follow([course], device=device, **how)[0]
     return expected
 
@@ -99,13 +101,13 @@ def expecting(
     trajectories: list[Trajectory],
     friction: float | tuple[float, float] | Spread,
     trials: int = _UNSEEN,
-    pace: float = JUDGING["speed"],
+    pace: float = PACE,
     coarse: bool = False,
 ) -> Course[list[dict]]:
     """`expect` of several trajectories of a pattern, with the same disturbed rods for all."""
     unseen = Unseen.of(pattern, rod, friction, trials)
     mesh, edge = (COARSE, COARSE_EDGE) if coarse else (JUDGING, JUDGING_EDGE)
-    how = edged(mesh, edge * rod.gravito_bending_length) | {"speed": pace}
+    how = {"discretisation": edged(mesh, edge * rod.gravito_bending_length), "speed": pace}
     laid = yield Asked([one for t in trajectories for one in unseen.laid_by(t)], None, how)
     return [unseen.told(laid[first : first + trials]) for first in range(0, len(laid), trials)]
 
@@ -216,9 +218,9 @@ def robot_error(
     return float(np.hypot(*(lies - target)[:, :2].T).mean())
 
 
-def edged(how: dict[str, Any], longest: float) -> dict[str, Any]:
-    """Options of `lay` with edges of at most that length [m]."""
-    return {**how, "spacing": min(how["spacing"], longest)}
+def edged(mesh: Discretisation, longest: float) -> Discretisation:
+    """With edges of at most that length [m]."""
+    return replace(mesh, spacing=min(mesh.spacing, longest))
 
 
 def _stretches(s: np.ndarray, chosen: np.ndarray) -> list[list[float]]:

@@ -16,12 +16,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from wrod.deployment.corrections import Corrections
+from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.expectation import (
     COARSE,
     COARSE_EDGE,
     JUDGING,
     JUDGING_EDGE,
-    TOLERANCE,
+    PACE,
     Unseen,
     balanced,
     edged,
@@ -76,7 +77,7 @@ class Task:
     trajectory: Trajectory
     friction: float | tuple[float, float] | Spread
     limits: Limits | None = None
-    pace: float = COARSE["speed"]
+    pace: float = PACE
 
 
 class Limits(Protocol):
@@ -95,7 +96,7 @@ def optimise(
     friction: float | tuple[float, float] | Spread,
     *,
     limits: Limits | None = None,
-    pace: float | tuple[float, float] = COARSE["speed"],
+    pace: float | tuple[float, float] = PACE,
     samples: int | None = None,
     hold: float = 0.05,
     judge: bool = True,
@@ -177,7 +178,7 @@ def optimise_each(
     Rods that are laid in one batch have one number of nodes, the largest that any of them needs.
     """
     courses = [course(task, samples=samples, hold=hold, judge=judge) for task in tasks]
-    return follow(courses, hold=hold, tolerance=TOLERANCE, device=device, progress=progress)
+    return follow(courses, hold=hold, device=device, progress=progress)
 
 
 def course(
@@ -267,8 +268,8 @@ class _Problem:
         """What corrections come to on coarse meshes."""
         task, corrections = self.task, self.corrections
         asked = self._sample(values)
-        more = {"tolerance": _TOLERANCE, "speed": task.pace}
-        laid = yield self._meshed(asked.trials, asked.directions, asked.how | more)
+        mesh = asked.how["discretisation"]
+        laid = yield self._meshed(asked.trials, asked.directions, mesh)
         parts = [misplacement(task.pattern, one) for one in laid]
         errors = np.array([np.hypot(*e.reshape(2, -1)).mean() for e, _ in parts])
         errors[[one.diverged for one in laid]] = np.inf
@@ -300,9 +301,8 @@ class _Problem:
         task, corrections = self.task, self.corrections
         unseen = Unseen.of(task.pattern, task.rod, self.spread)
         each = [self._sample(x).trials + unseen.laid_by(corrections.apply(x)) for x in points]
-        more = {"tolerance": _TOLERANCE, "speed": task.pace}
-        how = edged(JUDGING, JUDGING_EDGE * corrections.lgb) | more
-        laid = yield self._meshed([trial for one in each for trial in one], None, how)
+        mesh = edged(JUDGING, JUDGING_EDGE * corrections.lgb)
+        laid = yield self._meshed([trial for one in each for trial in one], None, mesh)
         out = []
         for x in points:
             own, rest = laid[: self.samples], laid[self.samples : len(each[0])]
@@ -316,11 +316,12 @@ class _Problem:
             out.append(_Tried(x, float(np.mean(errors)), (told["diverged"], measure), told))
         return out
 
-    def _meshed(self, trials: list[Trial], directions, how: dict[str, Any]) -> Asked:
-        if not self.alone:
-            return Asked(trials, directions, how)
-        count = -(-nodes_needed(trials, how["spacing"]) // _ALIKE) * _ALIKE
-        return Asked(trials, directions, how | {"node_count": count})
+    def _meshed(self, trials: list[Trial], directions, mesh: Discretisation) -> Asked:
+        mesh = replace(mesh, tolerance=_TOLERANCE)
+        if self.alone:
+            count = -(-nodes_needed(trials, mesh.spacing) // _ALIKE) * _ALIKE
+            mesh = replace(mesh, node_count=count)
+        return Asked(trials, directions, {"discretisation": mesh, "speed": self.task.pace})
 
     def _sample(self, values: np.ndarray) -> Asked:
         return sample_of(self.task, self.corrections, self.spread, values, self.samples)
@@ -332,17 +333,17 @@ def sample_of(
     spread: Spread,
     values: np.ndarray,
     samples: int,
-    how: dict[str, Any] | None = None,
 ) -> Asked:
     """The rods that cover a spread, laid by a corrected path, with their derivatives by each of the
-    corrections' values (3 count,) [L_gb]; `how` as for `lay`, by default on coarse meshes."""
+    corrections' values (3 count,) [L_gb], on coarse meshes."""
     now = corrections.apply(values)
     rest = Tail.none(now)  # nothing is asked of what comes after the pattern
     trials = [
         Trial(task.pattern, held, now, law, told, rest)
         for held, law, told in spread.sample(samples, task.rod)
     ]
-    how = how or edged(COARSE, COARSE_EDGE * task.rod.gravito_bending_length)
+    mesh = edged(COARSE, COARSE_EDGE * task.rod.gravito_bending_length)
+    how = {"discretisation": mesh, "speed": PACE}
     return Asked(trials, [Directions.of_path(corrections.columns())] * samples, how)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from wrod.deployment.expectation import TOLERANCE, UNMEASURED, expecting
+from wrod.deployment.expectation import UNMEASURED, expecting
 from wrod.deployment.together import follow
 from wrod.errors import GraspError, WrodWarning
 from wrod.patterns.pattern import Pattern
@@ -43,7 +43,7 @@ def expected_errors(
                   coarse=True)
         for pattern, path in rivals
     ]  # fmt: skip
-    said = follow(courses, hold=hold, tolerance=TOLERANCE, device=device or "auto")
+    said = follow(courses, hold=hold, device=device or "auto")
     return np.array([np.inf if one["diverged"] else one["mean"] for (one,) in said])
 
 

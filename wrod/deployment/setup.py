@@ -74,16 +74,13 @@ class Disturbance:
 
     @arguments.checked(RodError)
     def __post_init__(self) -> None:
-        number, two = arguments.number(-1e6, 1e6), arguments.array((2,))
-        for name, check in (
-            ("jitter", arguments.number(0.0, 1e3)), ("lgb_error", arguments.number(-0.99, 1e3)),
-            ("offset", two), ("yaw", number), ("natural_curvature", number),
-            ("seed", arguments.whole()), ("slip", number),
-            ("shaking_time", arguments.number(0.0, 1e5)),
-        ):  # fmt: skip
-            wrong = check(getattr(self, name))
-            if wrong is not None:
-                raise RodError(f"Disturbance: {name} is {getattr(self, name)!r:.60}; it {wrong}")
+        number = arguments.number(-1e6, 1e6)
+        arguments.check_fields(
+            self, RodError, jitter=arguments.number(0.0, 1e3),
+            lgb_error=arguments.number(-0.99, 1e3), offset=arguments.array((2,)), yaw=number,
+            natural_curvature=number, seed=arguments.whole(), slip=number,
+            shaking_time=arguments.number(0.0, 1e5),
+        )  # fmt: skip
 
     @classmethod
     @arguments.checked(

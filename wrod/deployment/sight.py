@@ -36,13 +36,11 @@ class Sight:
     def __post_init__(self) -> None:
         length = arguments.number(0.0, 100.0)
         blind = isinstance(self.hanging, float) and self.hanging == np.inf
-        checks = {"noise": length, "spacing": arguments.number(1e-4, 100.0), "hidden": length,
-                  "hanging": length, "pictures": arguments.whole(1, 1000),
-                  "seed": arguments.whole()}  # fmt: skip
-        for name, value in vars(self).items():
-            wrong = None if name == "hanging" and blind else checks[name](value)
-            if wrong is not None:
-                raise RodError(f"Sight: {name} is {arguments.shown(value)}; it {wrong}")
+        arguments.check_fields(
+            self, RodError, noise=length, spacing=arguments.number(1e-4, 100.0), hidden=length,
+            hanging=(lambda value: None) if blind else length,
+            pictures=arguments.whole(1, 1000), seed=arguments.whole(),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

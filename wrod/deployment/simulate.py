@@ -18,6 +18,7 @@ from wrod.deployment.bounds import (
     refuse_coarse_edges,
     refuse_endless,
 )
+from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import Disturbance, Setup, disturb, mesh, prepare_deployment
@@ -100,10 +101,7 @@ def simulate_deployment(
     hold=arguments.number(0.0, 100.0),
     release=arguments.optional(arguments.number(0.0, 100.0)),
     speed=arguments.number(1e-5, 100.0),
-    spacing=arguments.number(1e-5, 1.0),
-    node_count=arguments.optional(arguments.whole(4, 100_000)),
-    step=arguments.number(1e-6, 1.0),
-    tolerance=arguments.number(1e-15, 1.0),
+    discretisation=arguments.like("a wrod.Discretisation", "spacing", "step", "scheme"),
     frame_interval=arguments.optional(arguments.number(1e-5, 1e6)),
     threads=arguments.optional(arguments.whole(0, 4096)),
     friction_field=arguments.optional(arguments.like("a wrod.FrictionField", "factor", "x", "y")),
@@ -114,11 +112,7 @@ def simulate_deployments(
     hold: float = 0.05,
     release: float | None = None,
     speed: float = 0.02,
-    spacing: float = 0.005,
-    node_count: int | None = None,
-    step: float = 0.01,
-    scheme: str = "euler",
-    tolerance: float = 1e-5,
+    discretisation: Discretisation = USUAL,
     frame_interval: float | None = None,
     device: str | None = "cpu",
     threads: int | None = None,
@@ -137,12 +131,7 @@ def simulate_deployments(
         release: laid length at which the free end is let go [m]; default: `hold`.
         speed: at which the contact moves [m/s], slower where the grip has far to go; the tail is
             laid twice as fast.
-        spacing: length of the edges where the rod is laid [m].
-        node_count: nodes of every rod instead, so that results do not depend on which trials are
-            simulated together; default: what the longest needs.
-        step: largest time step [s].
-        scheme: "euler", "bdf2" or "midpoint".
-        tolerance: of a step's residual forces, over the weight of one L_gb of rod.
+        discretisation: how finely it is computed.
         frame_interval: keep the rod's states at its multiples [s].
         device: "cpu", "cuda:0", "auto".
         threads: CPU threads; default: one, which replays recorded launches, or one per core where
@@ -151,22 +140,23 @@ def simulate_deployments(
         progress: called with the fraction done since the last call, of all trials.
     """
     hold, release = float(hold), float(hold if release is None else release)
-    check_pace(speed, spacing, hold, release)
+    check_pace(speed, hold, release)
     if not trials:
         return []
     device = resolve_device(device)
-    refuse_endless(trials, speed, spacing, step, frame_interval)
+    refuse_endless(trials, speed, discretisation, frame_interval)
     for trial in trials:
         refuse_other_plans(trial)
     compile_steps(device)
-    setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
-    options: dict[str, Any] = dict(
-        scheme=scheme, tolerance=tolerance, device=device, friction_field=friction_field,
-    )  # fmt: skip
+    setups = prepare_trials(trials, hold, release, speed, discretisation)
     chunks, workers = _chunks(len(trials), device, threads)
     parallel = workers > 1 and len(chunks) > 1
-    # Recording is the process's: threads would record each other's launches.
-    options["keeps_recording"] = device == "cpu" and not parallel
+    options: dict[str, Any] = dict(
+        device=device,
+        friction_field=friction_field,
+        # Recording is the process's: threads would record each other's launches.
+        keeps_recording=device == "cpu" and not parallel,
+    )
 
     def report(fraction: float, count: int) -> None:
         if progress is not None:
@@ -176,7 +166,7 @@ def simulate_deployments(
         return _simulate(
             [trials[i] for i in chunk],
             [setups[i] for i in chunk],
-            step,
+            discretisation,
             frame_interval,
             lambda fraction: report(fraction, len(chunk)),
             **options,
@@ -237,8 +227,7 @@ def prepare_trials(
     hold: float,
     release: float | Sequence[float | None] | None,
     speed: float,
-    spacing: float,
-    node_count: int | None,
+    discretisation: Discretisation,
 ) -> list[Setup]:
     """All rods of a batch share one number of nodes: the largest that the spacing asks for.
 
@@ -246,7 +235,8 @@ def prepare_trials(
     or of each; None is `hold`.
     """
     each = release if isinstance(release, Sequence) else [release] * len(trials)
-    count = node_count or nodes_needed(trials, spacing)
+    spacing = discretisation.spacing
+    count = discretisation.node_count or nodes_needed(trials, spacing)
     undisturbed: dict[tuple, Setup] = {}
     setups = []
     for trial, released in zip(trials, each, strict=True):
@@ -271,12 +261,12 @@ def prepare_trials(
 def _simulate(
     trials: list[Trial],
     setups: list[Setup],
-    step: float,
+    discretisation: Discretisation,
     frame_interval: float | None,
     report: Callable[[float], object],
     **options,
 ) -> list[Deployment]:
-    batch, contact, dynamics = assemble(trials, setups, **options)
+    batch, contact, dynamics = assemble(trials, setups, discretisation, **options)
     ends = np.array([setup.end_time for setup in setups])
     frames = None
     if frame_interval is not None:
@@ -301,7 +291,7 @@ def _simulate(
         batch.launch_lanes(pace.measure, [until, *found], [held, force, slip])
 
     end = dynamics.advance(
-        np.array([s.measure_time for s in setups]), step,
+        np.array([s.measure_time for s in setups]), discretisation.step,
         frames=frames, frame_interval=frame_interval or 1.0, progress=note, then=measure,
     )  # fmt: skip
     note(ends)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.deployment.assembly import assemble
 from wrod.deployment.carried_tangents import Tangents
+from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.result import interpolation
 from wrod.deployment.setup import Setup, blend, one_hemisphere
@@ -102,10 +103,7 @@ def lay(
     hold: float = 0.05,
     release: float | Sequence[float | None] | None = None,
     speed: float = 0.02,
-    spacing: float = 0.005,
-    node_count: int | None = None,
-    step: float = 0.01,
-    tolerance: float = 1e-5,
+    discretisation: Discretisation = USUAL,
     friction_field: FrictionField | None = None,
     device: str | None = "cpu",
     watch: Watch | None = None,
@@ -123,18 +121,18 @@ def lay(
         displacements: (T, 6) of each trial: displacement [m] and rotation vector [rad] of the
             trajectory's poses, their time law unchanged.
         release: as in `simulate_deployments`, for all or for each.
-        hold, speed, spacing, node_count, step, tolerance, friction_field, device: see
-            `simulate_deployments`.
+        hold, speed, discretisation, friction_field, device: see `simulate_deployments`;
+            derivatives are those of "euler".
         watch: called now and then with the (rod,) times [s]; what it raises ends the laying.
 
     Raises:
-        RodError: a trial has fixtures or lets the rod roll while derivatives are wanted, or the
-            directions do not match the trials.
+        RodError: a trial has fixtures or lets the rod roll, or the scheme is another, while
+            derivatives are wanted, or the directions do not match the trials.
     """
     device = resolve_device(device)
     if directions is not None:
-        _check(trials, directions)
-    setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
+        _check(trials, directions, discretisation.scheme)
+    setups = prepare_trials(trials, hold, release, speed, discretisation)
     if displacements is None:
         displacements = [np.zeros((len(trial.trajectory), 6)) for trial in trials]
     moves = [_over_keys(*one) for one in zip(trials, setups, displacements, strict=True)]
@@ -144,14 +142,16 @@ def lay(
     batch, contact, dynamics = assemble(
         trials,
         setups,
-        tolerance=tolerance,
+        discretisation,
         device=device,
         keeps_recording=device == "cpu",
         friction_field=friction_field,
     )
     if columns is not None:
         dynamics.follower = tangents = Tangents(batch, contact, *columns)
-    end = dynamics.advance(np.array([s.measure_time for s in setups]), step, progress=watch)
+    end = dynamics.advance(
+        np.array([s.measure_time for s in setups]), discretisation.step, progress=watch
+    )
     positions, slip = batch.positions(), contact.slip.numpy()
     rates = np.zeros((len(trials), 0, *positions.shape[1:]))
     if columns is not None:
@@ -173,7 +173,9 @@ def lay(
     return laid
 
 
-def _check(trials: list[Trial], directions: list[Directions]) -> None:
+def _check(trials: list[Trial], directions: list[Directions], scheme: str) -> None:
+    if scheme != "euler":
+        raise RodError(f"derivatives of a deployment are those of euler, not {scheme}; leave it")
     if len(directions) != len(trials) or len({len(d) for d in directions}) > 1:
         raise RodError(
             f"{len(trials)} trials have {len(directions)} sets of directions of "

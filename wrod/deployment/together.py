@@ -11,14 +11,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.simulate import Trial, nodes_needed
 from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.rods.device import resolve_device
 
 T = TypeVar("T")
-# Options that every rod of a batch has for itself.
-_OWN = {"spacing", "release"}
-_SPACING = 0.005
 
 
 @dataclass(frozen=True)
@@ -28,8 +26,8 @@ class Asked:
     Attributes:
         trials: what to lay.
         directions: of each trial, all with the same number of columns; None: no derivatives.
-        how: options of `lay`: spacing [m] and others. Rods with a `node_count` are laid with those
-            that have the same alone; of others a batch has the largest that any of them needs.
+        how: options of `lay`. Rods whose discretisation has a node count are laid with those that
+            have the same alone; of others a batch has the largest that any of them needs.
     """
 
     trials: list[Trial]
@@ -82,11 +80,12 @@ def _groups(asked: dict[int, Asked]) -> list[list[int]]:
     derivatives, but for the length of their edges and the time of their release."""
     groups: dict[tuple, list[int]] = {}
     for k, one in asked.items():
+        how = {"discretisation": USUAL, **one.how, "release": None}
+        how["discretisation"] = replace(how["discretisation"], spacing=USUAL.spacing)
         # A field of friction is that very one.
-        known = (str, float, int, type(None))
-        how = {n: v if isinstance(v, known) else id(v) for n, v in one.how.items()}
-        names = sorted(how.keys() - _OWN)
-        key = (one.directions is None, *((name, how[name]) for name in names))
+        known = (str, float, int, Discretisation, type(None))
+        said = {n: v if isinstance(v, known) else id(v) for n, v in how.items()}
+        key = (one.directions is None, *sorted(said.items()))
         groups.setdefault(key, []).append(k)
     return list(groups.values())
 
@@ -96,19 +95,19 @@ def _laid(asked: dict[int, Asked], options: dict[str, Any]) -> dict[int, list[La
     answers: dict[int, list[Laid]] = {}
     for members in _groups(asked):
         ones = [asked[k] for k in members]
-        how = {name: v for name, v in ones[0].how.items() if name not in _OWN}
         trials = [trial for one in ones for trial in one.trials]
         directions = None
         if ones[0].directions is not None:
             every = [d for one in ones for d in one.directions or ()]
             most = max(map(len, every))
             directions = [_padded(d, most) for d in every]
-        nodes = how.pop("node_count", None) or max(
-            nodes_needed(one.trials, one.how.get("spacing", _SPACING)) for one in ones
+        meshes = [one.how.get("discretisation", USUAL) for one in ones]
+        nodes = meshes[0].node_count or max(
+            nodes_needed(one.trials, mesh.spacing) for one, mesh in zip(ones, meshes, strict=True)
         )
-        released = [one.how.get("release") for one in ones for _ in one.trials]
-        given = {**options, **how}
-        laid = lay(trials, directions, node_count=nodes, release=released, **given)
+        given = {**options, **ones[0].how, "discretisation": replace(meshes[0], node_count=nodes)}
+        given["release"] = [one.how.get("release") for one in ones for _ in one.trials]
+        laid = lay(trials, directions, **given)
         for k, one in zip(members, ones, strict=True):
             answers[k], laid = laid[: len(one.trials)], laid[len(one.trials) :]
             if one.directions is not None:

@@ -153,22 +153,20 @@ class Contact(OnDevice):
 
     def _check(self) -> None:
         """Kinds of the arguments; their sizes where they are used."""
-        checks = {
-            "batch": arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
-            "radius": arguments.numbers_of_any_shape,
-            "stiffness": arguments.numbers_of_any_shape,
-            "friction": arguments.either(_IS_FRICTION, arguments.several(_FRICTIONS)),
-            "shapes": arguments.several(_SHAPES, least=0),
-            "restitution": arguments.numbers_of_any_shape,
-            "friction_field": arguments.optional(
+        arguments.check_fields(
+            self,
+            RodError,
+            batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
+            radius=arguments.numbers_of_any_shape,
+            stiffness=arguments.numbers_of_any_shape,
+            friction=arguments.either(_IS_FRICTION, arguments.several(_FRICTIONS)),
+            shapes=arguments.several(_SHAPES, least=0),
+            restitution=arguments.numbers_of_any_shape,
+            friction_field=arguments.optional(
                 arguments.like("a FrictionField", "factor", "x", "y")
             ),
-            "keeps_roll": arguments.truths,
-        }
-        for name, check in checks.items():
-            wrong = check(getattr(self, name))
-            if wrong is not None:
-                raise RodError(f"{type(self).__name__}: {name} {wrong}")
+            keeps_roll=arguments.truths,
+        )
         rods = self.batch.rod_count
         for name in ("restitution", "keeps_roll"):
             if np.shape(getattr(self, name)) not in ((), (1,), (rods,)):

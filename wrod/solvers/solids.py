@@ -27,11 +27,8 @@ class _Checked:
     """Its places and sizes are finite numbers; whether it has a size is judged where it is used."""
 
     def __post_init__(self) -> None:
-        for one in fields(self):  # type: ignore[arg-type]
-            check = _KINDS.get(one.name)
-            wrong = None if check is None else check(getattr(self, one.name))
-            if wrong is not None:
-                raise RodError(f"{type(self).__name__}: {one.name} {wrong}")
+        names = (one.name for one in fields(self))  # type: ignore[arg-type]
+        arguments.check_fields(self, RodError, **{n: _KINDS[n] for n in names if n in _KINDS})
 
 
 @dataclass(frozen=True)

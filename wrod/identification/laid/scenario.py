@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.plan import plan
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError
@@ -24,6 +25,7 @@ from wrod.solvers.contact import Friction
 HELD = 0.05
 # Of the contact [m/s].
 SPEED = 0.02
+_MESH = Discretisation(spacing=0.01, step=0.025)
 # The grip rests for so long before it would let go, in the deployment's schedule [s].
 _RESTING = 0.45
 
@@ -94,8 +96,7 @@ def lay(
     trajectory: Trajectory,
     scenarios: Sequence[Scenario],
     *,
-    spacing: float = 0.01,
-    step: float = 0.025,
+    discretisation: Discretisation = _MESH,
     speed: float = SPEED,
     device: str = "cpu",
     threads: int | None = None,
@@ -106,7 +107,8 @@ def lay(
     Args:
         pattern, believed, trajectory: what was planned.
         scenarios: what is true.
-        spacing, step, speed, device, threads, progress: as `wrod.simulate_deployments` takes them.
+        discretisation, speed, device, threads, progress: as `wrod.simulate_deployments` takes
+            them.
 
     Raises:
         DataError: scenarios are mixed in how the free end begins.
@@ -125,8 +127,7 @@ def lay(
     laid = simulate_deployments(
         trials,
         hold=HELD if scenarios[0].held else 0.0,
-        spacing=spacing,
-        step=step,
+        discretisation=discretisation,
         speed=speed,
         device=device,
         threads=threads,
