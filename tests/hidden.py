@@ -19,6 +19,8 @@ SETS = (
     ("natural_curvature", 101, "pose"),
     ("warming", 101, "white"),
     ("anisotropic_bending", 11, "white"),
+    ("stiffness, quadratic", 501, "correlated-0.7"),
+    ("stiffness_gradient", 501, "correlated-0.7"),
 )
 
 
@@ -41,7 +43,7 @@ def kept(case: str, seed: int, noise: str = "white") -> tuple[dict, dict]:
 
 
 def _place(case: str, seed: int, noise: str) -> Path:
-    return FOLDER / f"{case.replace(' ', '-')}-{seed}-{noise}.npz"
+    return FOLDER / f"{case.replace(', ', '-').replace(' ', '-')}-{seed}-{noise}.npz"
 
 
 def write() -> None:

@@ -10,8 +10,8 @@ from wrod import cost
 from wrod.options import refuse_idle_options
 from wrod.telling import asked, json_option, tell
 
-# Parameters of an effect that are printed.
-_SHOWN = 8
+# Parameters of an effect that are printed, and of one that has more of them.
+_SHOWN, _FEW = 8, 3
 
 
 @click.command(name="identify", short_help="Find what the model of a rod lacks, from measurements.")
@@ -100,7 +100,7 @@ def command(
         found = [f"{key} {e}" for key, e in effect.parameters.items()]
         if len(found) > _SHOWN:
             # The profile of a whole rod is for the report.
-            found[1:] = [f"and {len(found) - 1} more in report.json"]
+            found[_FEW:] = [f"and {len(found) - _FEW} more in report.json"]
         click.echo(f"  {effect.name}: {', '.join(found)}")
     for name, size in report.scatter.items():
         click.echo(f"  {name} scatters from trial to trial by {size} in each direction")

@@ -73,6 +73,7 @@ class Effect:
         adds: field of the set-up that they are added to; scales: fields that grow by the
             exponential of the only one.
         polar: what the size and the angle of the first two are called, and the unit of the former.
+        alike: what else is the same to such data, a phrase; empty where nothing is.
         stage: effects are applied in this order; those that change the free length come first.
         follows_shape: whether its load depends on the rod's shape (`ClampedSetup.wind`).
         kinds: the measurements that it is tried on: "clamped" (`ClampedSetup`), "motion"
@@ -86,6 +87,7 @@ class Effect:
     adds: str = ""
     scales: tuple[str, ...] = ()
     polar: tuple[str, str, str] | None = None
+    alike: str = ""
     stage: int = 1
     follows_shape: bool = False
     kinds: tuple[str, ...] = ("clamped",)

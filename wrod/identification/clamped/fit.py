@@ -1,10 +1,12 @@
 """Fits of many models at once: Levenberg-Marquardt with exact derivatives through the solver."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,6 +58,12 @@ class Fit:
     def bic(self) -> float:
         """Bayesian information criterion, up to a constant of the data."""
         return self.chi_squared + len(self.values) * np.log(self.effective_count)
+
+    def spread(self) -> Fit:
+        """The fit with its covariance scaled by what is left, where that is more than noise: of
+        what the model leaves wrong the parameters bear their part (Birge's ratio)."""
+        free = max(self.residual_count - len(self.values), 1)
+        return replace(self, covariance=self.covariance * max(1.0, self.chi_squared / free))
 
     def correlation(self) -> np.ndarray:
         """(P, P) correlations of the parameters."""

@@ -13,8 +13,8 @@ _COLORS = {
     "partly-explained": "#d9822b",
     "unexplained": "#d1495b",
 }
-# Parameters of one effect that are shown in rows of their own.
-_LISTED = 6
+# Parameters of one effect that are shown in rows of their own, and of one that has more of them.
+_LISTED, _FEW = 6, 3
 _STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;color:#22262b;max-width:62rem;margin:2.5rem auto;
 padding:0 1.2rem}h1{font-size:1.6rem;margin:0}h2{font-size:1.15rem;margin:2.2rem 0 .4rem}
@@ -42,7 +42,7 @@ def _page(report) -> str:
          "both clamps.", pictures.shapes(report)),
         ("Residual maps", "Distance between measured and predicted marker, all trials.",
          pictures.residuals(report)),
-        ("What the residual looks like as mechanics", "Before any fit: the force, moment, end "
+        ("What the residual looks like as mechanics", "Of the base model: the force, moment, end "
          "error or camera error, the same in every trial, that would put the base model into the "
          "measured shapes. Left: the likeliest print; right: the evidence for each.",
          pictures.force_print(report)),
@@ -102,7 +102,7 @@ def effects_table(found: list[tuple[str, dict, float | None]], confounded) -> st
     for title, parameters, error in found:
         listed = list(parameters.items())
         # A profile's stations would push everything else off the page.
-        listed, folded = (listed, []) if len(listed) <= _LISTED else (listed[:1], listed[1:])
+        listed, folded = (listed, []) if len(listed) <= _LISTED else (listed[:_FEW], listed[_FEW:])
         for i, (key, estimate) in enumerate(listed):
             first = f"<b>{html.escape(title)}</b>" if i == 0 else ""
             after = f"{1e3 * error:.2f} mm" if i == 0 and error is not None else ""

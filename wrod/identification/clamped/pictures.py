@@ -16,6 +16,7 @@ from wrod.files.pictures import (
     dress_map,
     new_figure,
 )
+from wrod.identification.clamped.trace import SEEN
 
 
 def shapes(report, count: int = 4) -> bytes:
@@ -81,7 +82,7 @@ def force_print(report) -> bytes:
             place,
             factor * best.value,
             yerr=2 * factor * best.stderr,
-            color=AFTER,
+            color=AFTER if best.seen else FAINT,
             width=0.6,
             ecolor=INK,
         )
@@ -91,18 +92,28 @@ def force_print(report) -> bytes:
         draw_bands(axes, best.arc_length, best.value, best.stderr, best.components)
         y = f"[{best.unit}]" if best.unit else "relative change"
         dress(axes, x="arc length [m]", y=y, legend=True, ncol=3)
-    dress(axes, f"{best.title} (± 2 standard errors)")
+    title = f"{best.title} (± 2 standard errors)"
+    dress(axes, title if best.seen else f"no print is seen; the likeliest of them:\n{title}")
     axes = figure.add_subplot(1, 2, 2)
     names = [p.name.replace("_", " ") for p in report.prints][::-1]
     values = [max(p.evidence, 0.0) for p in report.prints][::-1]
-    axes.barh(names, values, color=[FAINT] * (len(names) - 1) + [AFTER], height=0.62)
-    for y, p in enumerate(report.prints[::-1]):
+    axes.barh(
+        names,
+        values,
+        color=[FAINT] * (len(names) - 1) + [AFTER if best.seen else FAINT],
+        height=0.62,
+    )
+    excess = any(p.share > 0.0 for p in report.prints)
+    for y, p in enumerate(report.prints[::-1] if excess else ()):
         axes.text(
             max(p.evidence, 0.0), y, f"  {100 * max(p.share, 0.0):.0f} %",
             va="center", fontsize=8, color=MUTED,
         )  # fmt: skip
-    axes.set_xlim(0.0, 1.15 * max(*values, 1.0))
-    dress(axes, "log evidence, and share of the excess")
+    # What is no evidence is not drawn as if it were.
+    axes.set_xlim(0.0, 1.15 * max(*values, 2.0 * SEEN))
+    axes.axvline(SEEN, color=MUTED, lw=0.8, ls=":")
+    said = ", and share of the excess" if excess else "; no excess to take a share of"
+    dress(axes, f"log evidence (seen from the dotted line){said}")
     return as_png(figure)
 
 
@@ -127,13 +138,15 @@ def ranking(report) -> bytes | None:
     axes.barh(names, [c["test_mm"] for c in scored][::-1], color=colors, height=0.66)
     lines = (
         ("base model", report.before, BEFORE),
-        ("chosen model", report.after, AFTER),
+        *[("chosen model", report.after, AFTER)] * bool(report.effects),
         ("noise floor", report.noise_floor, INK),
     )
     for label, value, color in lines:
         axes.axvline(1e3 * value, color=color, lw=1.3, label=f"{label} {1e3 * value:.2f} mm")
     axes.set_xlabel("test error [mm]", fontsize=8.5)
-    axes.legend(fontsize=8, frameon=True, facecolor="white", edgecolor="none", loc="upper right")
+    # Bars end anywhere inside; above them there is room.
+    figure.legend(*axes.get_legend_handles_labels(), fontsize=8, frameon=False, ncol=3,
+                  loc="outside upper right")  # fmt: skip
     dress(axes)
     axes.tick_params(axis="y", labelsize=7.5)
     return as_png(figure)

@@ -60,13 +60,13 @@ class _Kind:
     Attributes:
         apply: changes a setup by a profile (node, width).
         told: (node, width) what a setup has of it, for reports, beside the base model's setup.
-        fields: of a setup, all that may change with it.
+        fields: of a setup, what it is of and what may change with that.
         keys: what the components are called; unit: of what is told.
     """
 
     apply: Callable
     told: Callable
-    fields: frozenset[str]
+    fields: tuple[str, ...]
     keys: tuple[str, ...]
     unit: str
     title: str
@@ -94,19 +94,19 @@ def _force_told(setup, base):
 
 KINDS = {
     "curvature": _Kind(
-        _curvature, _curvature_told, frozenset({"natural_curvature"}),
+        _curvature, _curvature_told, ("natural_curvature",),
         ("curvature_1", "curvature_2"), "1/m", "natural curvature",
     ),
     "stiffness": _Kind(
-        _stiffness, _stiffness_told, frozenset({"bending", "twisting", "stretching"}),
+        _stiffness, _stiffness_told, ("bending", "twisting", "stretching"),
         ("stiffness_ratio",), "", "relative stiffness",
     ),
     "weight": _Kind(
-        _weight, _weight_told, frozenset({"line_mass"}),
+        _weight, _weight_told, ("line_mass",),
         ("weight_ratio",), "", "relative weight",
     ),
     "force": _Kind(
-        _force, _force_told, frozenset({"force"}),
+        _force, _force_told, ("force",),
         ("force_1", "force_2", "force_3"), "N/m", "force in the laboratory",
     ),
 }  # fmt: skip
@@ -137,7 +137,7 @@ class ProfileEffect(Effect):
         KINDS[self.kind].apply(setup, profile)
 
     def describe(self, values, covariance, measurements):
-        """What the rod has of the quantity at every knot."""
+        """What the rod has of the quantity at every knot, the ends and the middle first."""
         kind = KINDS[self.kind]
         base = ClampedSetup.base(measurements, measurements.train[:1], KNOTS - 1)
 
@@ -150,10 +150,13 @@ class ProfileEffect(Effect):
         rates = np.stack([told(values + step).imag / COMPLEX_STEP for step in steps], axis=2)
         error = np.sqrt(np.einsum("kwp,pq,kwq->kw", rates, covariance, rates))
         places = np.linspace(0.0, measurements.material.length, KNOTS)
+        found, middle = told(values), KNOTS // 2
         return {
-            f"{key}_at_{1e3 * place:.0f}_mm": Estimate(float(value), float(off), kind.unit)
-            for key, values_of, errors in zip(kind.keys, told(values).T, error.T, strict=True)
-            for place, value, off in zip(places, values_of, errors, strict=True)
+            f"{key}_at_{1e3 * places[k]:.0f}_mm": Estimate(
+                float(found[k, w]), float(error[k, w]), kind.unit
+            )
+            for k in sorted(range(KNOTS), key=lambda k: k % middle > 0)
+            for w, key in enumerate(kind.keys)
         }
 
 

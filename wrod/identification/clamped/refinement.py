@@ -4,9 +4,9 @@ An effect has a law along the rod: a constant, a straight line. One that is near
 the noise floor and stands for a law that is another one, with numbers that are wrong by many of
 their standard errors. So wherever an effect of natural curvature, stiffness or weight was chosen,
 a profile of the same quantity about it competes, as smooth and as large as the residual beside the
-model says. It takes the effect's place if that lowers the information criterion with the noise that
-the richer model leaves (what the poorer one leaves wrong passes for noise along the rod), improves
-trials held out, and takes from trials that no choice has seen what an effect has to take.
+model says. It takes the effect's place if it has the evidence by the noise that the richer model
+leaves (what the poorer one leaves wrong passes for noise along the rod), improves trials held out,
+and takes squares from trials that no choice has seen.
 """
 
 import numpy as np
@@ -18,14 +18,17 @@ from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import estimate
 from wrod.identification.clamped.profiles import KINDS, KNOTS, Knots, ProfileEffect, likeliest
 from wrod.identification.clamped.steps import has_profile, held_out_error
-from wrod.identification.clamped.verdict import (
-    BIC_MARGIN,
-    Round,
-    changed_by,
-    is_proven,
-    unseen_gain,
-)
-from wrod.identification.effect import Model
+from wrod.identification.clamped.verdict import UNSEEN_GAIN, Round, changed_by, unseen_gain
+from wrod.identification.effect import Effect, Model
+
+# Kinds of profiles that effects have a law of.
+_QUANTITIES = ("curvature", "stiffness", "weight")
+# Log evidence from which a profile is likelier than the law, twenty to one [nats]. A profile that
+# need not be costs a name and wider errors, a law that is not the rod's costs wrong numbers: so
+# less is asked than of an effect that joins, and of unseen trials one standard error.
+_EVIDENCE = 3.0
+# How often the noise is estimated beside the profile and the profile built with that noise.
+_NOISE_PASSES = 3
 
 
 def refined(
@@ -38,46 +41,51 @@ def refined(
     """
     if has_profile(current.model):
         return current, held_out
+    declared = laboratory.noise, laboratory.scatter_rates
     for place, effect in enumerate(current.model.effects):
         kind = _kind_of(laboratory, effect)
         if kind is None:
             continue
-        before = laboratory.noise, laboratory.scatter_rates
-        rich = _with_profile(laboratory, current, place, kind)
-        if rich is None:
-            continue
-        laboratory.set_noise(*estimate(laboratory, rich.model, rich.values))
-        pair = fit_models(
-            laboratory,
-            [current.model, rich.model],
-            [current.values, rich.values],
-            origin=rich,
-            race=False,
-        )
-        step, ahead = _weighed(laboratory, *pair)
-        rounds.append(step)
-        if step.accepted:
-            return pair[1], (held_out[0], ahead)
-        laboratory.set_noise(*before)
+        poor = current
+        for _ in range(_NOISE_PASSES):
+            rich, evidence = _with_profile(laboratory, poor, place, kind)
+            if rich is None:
+                break
+            noise, rates = estimate(laboratory, rich.model, rich.values)
+            if noise.near(laboratory.noise):
+                break
+            laboratory.set_noise(noise, rates)
+            poor = fit_models(laboratory, [poor.model], [poor.values], origin=poor, race=False)[0]
+        if rich is not None:
+            step, ahead = _weighed(laboratory, poor, rich, evidence)
+            rounds.append(step)
+            if step.accepted:
+                return rich, (held_out[0], ahead)
+        laboratory.set_noise(*declared)
     return current, held_out
 
 
-def _kind_of(laboratory: Laboratory, effect) -> str | None:
-    """What an effect changes, if nothing else and all along the rod."""
-    if isinstance(effect, Described):
-        return None
-    fields = changed_by(laboratory, [effect])
-    kinds = [kind for kind, own in KINDS.items() if fields and fields <= own.fields]
-    return kinds[0] if kinds and "bending" in fields | {"bending"} else None
+def _kind_of(laboratory: Laboratory, effect: Effect) -> str | None:
+    """The quantity that an effect changes, if nothing else and all along the rod."""
+    if not isinstance(effect, Described):
+        fields = changed_by(laboratory, [effect])
+        for kind in _QUANTITIES:
+            first, *others = KINDS[kind].fields
+            if first in fields <= {first, *others}:
+                return kind
+    return None
 
 
-def _with_profile(laboratory: Laboratory, current: Fit, place: int, kind: str) -> Fit | None:
-    """The model with a profile about one of its effects; None where the residual asks for none."""
+def _with_profile(
+    laboratory: Laboratory, current: Fit, place: int, kind: str
+) -> tuple[Fit | None, float]:
+    """(the model with a profile about one of its effects, log evidence of that [nats]); None where
+    the residual asks for no profile."""
     trials, width = laboratory.measurements.train, KINDS[kind].width
-    knots = Knots((kind,))
     own = np.array([p.scale for p in current.model.parameters])
     seen, rates = laboratory.jacobian(
-        current.model.extended(knots), np.concatenate([current.values, np.zeros(width * KNOTS)])
+        current.model.extended(Knots((kind,))),
+        np.concatenate([current.values, np.zeros(width * KNOTS)]),
     )
     residual = laboratory.whiten((laboratory.target - seen)[trials], trials).ravel()
     columns = laboratory.whiten(rates[trials], trials).reshape(residual.size, -1)
@@ -87,30 +95,33 @@ def _with_profile(laboratory: Laboratory, current: Fit, place: int, kind: str) -
     free = mine - theirs @ np.linalg.solve(inner, theirs.T @ mine)
     found = likeliest(kind, width, mine.T @ free, free.T @ residual)
     if found.evidence <= 0.0 or not found.basis.size:
-        return None
+        return None, 0.0
     effects, parts = list(current.model.effects), current.model.split(current.values)
     effects[place] = ProfileEffect(kind, found.basis, effects[place])
     parts[place] = np.concatenate([parts[place], np.zeros(found.basis.shape[2])])
     rich = fit_models(
         laboratory, [Model(tuple(effects))], [np.concatenate(parts)], origin=current, race=False
     )[0]
-    return rich if np.isfinite(rich.chi_squared) else None
+    return (rich if np.isfinite(rich.chi_squared) else None), found.evidence
 
 
-def _weighed(laboratory: Laboratory, poor: Fit, rich: Fit) -> tuple[Round, float]:
+def _weighed(laboratory: Laboratory, poor: Fit, rich: Fit, evidence: float) -> tuple[Round, float]:
     """(the step from one model to the other, RMS of markers held out with it)."""
-    gain, ahead, reason = poor.bic - rich.bic, np.inf, ""
-    if gain < BIC_MARGIN:
-        reason = f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
+    ahead, reason = np.inf, ""
+    if evidence < _EVIDENCE:
+        reason = f"the log evidence of a profile is {evidence:.1f}, less than {_EVIDENCE:g}"
     else:
         try:
             (_, squares), (ahead, better) = (held_out_error(laboratory, f) for f in (poor, rich))
+            gain, error = unseen_gain(laboratory, rich, poor)
             if better >= squares:
                 reason = "trials held out get worse"
-            elif not is_proven(unseen_gain(laboratory, rich, poor)):
-                reason = "unseen trials do not prove it"
+            elif gain < max(UNSEEN_GAIN, error):
+                reason = f"takes {gain:.1f} ± {error:.1f} squares from unseen trials, too few"
         except DataError:
             reason = "a trial held out has no equilibrium with it"
-    said = reason or f"BIC falls by {gain:.0f}, held-out error to {1e3 * ahead:.3f} mm"
+    said = reason or (
+        f"the log evidence of a profile is {evidence:.1f}, held-out error {1e3 * ahead:.3f} mm"
+    )
     accepted = None if reason else rich.model.names
-    return Round(poor.model.names, rich, [rich], [gain], accepted, said), float(ahead)
+    return Round(poor.model.names, rich, [rich], [evidence], accepted, said), float(ahead)

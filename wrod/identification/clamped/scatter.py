@@ -16,16 +16,13 @@ import numpy as np
 
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import SCATTER, NoiseModel, estimate, scatter_errors
-from wrod.identification.clamped.trace import trace
+from wrod.identification.clamped.trace import SEEN, trace
 from wrod.identification.effect import Estimate, Model
 from wrod.identification.verdict import CLAMPED
 
 # Farther off than this from trial to trial is no play of a fixture and no camera that was set up
 # again [m, rad]: six numbers an end may turn a clamp by 17 degrees in place of a twisted rod.
 _PLAY = {"m": 3e-3, "rad": np.deg2rad(3.0)}
-# Evidence of a print from which it is one [nats]; twice that is what an effect lowers the
-# information criterion by to join.
-SEEN = 5.0
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,11 @@ KNOTS = 7
 # A print changes over the trials where first and last differ by so much of it, so many errors.
 _CHANGE, _SURE = 0.3, 4.0
 _AMPLITUDES = np.logspace(-4, 3, 43)
+# Evidence of a print from which it is one [nats]; twice that is what an effect lowers the
+# information criterion by to join.
+SEEN = 5.0
+# Squares beyond noise's, in standard deviations of those, that are an excess.
+_EXCESS = 3.0
 
 
 @dataclass
@@ -29,7 +34,8 @@ class Print:
         points_to: effects that leave such a print.
         evidence: log evidence over that of the base model alone [nats]; 0 where nothing is seen,
             None where it is not known.
-        share: fraction of the excess of squares that it takes away, to first order.
+        share: fraction of the excess of squares that it takes away, to first order; 0 where there
+            is no more than noise varies by.
         arc_length: (K,) places of the profile [m]; None for numbers at an end.
         components: names of the columns of `value`.
         value, stderr: (K, components) or (components,).
@@ -48,6 +54,11 @@ class Print:
     value: np.ndarray
     stderr: np.ndarray
     drift: tuple[float, float, float] = (1.0, 1.0, 0.0)
+
+    @property
+    def seen(self) -> bool:
+        """Whether the data say that it is there."""
+        return self.evidence is None or self.evidence > SEEN
 
     @property
     def changes(self) -> str:
@@ -280,6 +291,7 @@ def infer(jacobian, residual, prior):
     mean = root @ (vectors @ (shrunk * projected))
     spread = root @ (vectors * np.sqrt(shrunk))
     left = residual - jacobian @ mean
-    excess = max(residual @ residual - len(residual), 1e-300)
-    share = float((residual @ residual - left @ left) / excess) if amplitude else 0.0
+    excess, square = residual @ residual - len(residual), residual @ residual
+    there = amplitude > 0.0 and excess > _EXCESS * np.sqrt(2.0 * len(residual))
+    share = float((square - left @ left) / excess) if there else 0.0
     return evidence, amplitude, min(share, 1.0), mean, np.sqrt((spread**2).sum(axis=1))

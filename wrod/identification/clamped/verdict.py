@@ -113,7 +113,7 @@ def judge(
     selection = Selection(
         verdict,
         reason,
-        named,
+        named.spread(),
         rounds[0].fits if rounds else [],
         rounds,
         empty.chi_squared,
@@ -225,7 +225,11 @@ def error_of_gains(gain: np.ndarray, moved: np.ndarray) -> float:
 
 def _confounded(laboratory: Laboratory, fit: Fit, rounds: list[Round]) -> list[dict]:
     """Rivals that the data do not rule out, and parameters that trade against each other."""
-    found = []
+    found = [
+        {"effects": [e.name, e.alike], "evidence": "they load the rod alike in every trial"}
+        for e in fit.model.effects
+        if e.alike
+    ]
     compared = [
         (step.fits, own)
         for step in rounds

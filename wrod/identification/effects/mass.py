@@ -41,6 +41,10 @@ class GravityTilt(Effect):
     name = "gravity_tilt"
     title = "gravity turned about a horizontal axis"
     reference = "rotation of the gravity vector"
+    # Of a uniform rod, but for 1 - cos(tilt) of its weight.
+    alike = (
+        "a steady sideways force per length, as of wind: the tangent of the tilt times the weight"
+    )
     kinds = ("clamped", "motion")
     polar = "tilt", "axis_azimuth", "deg"
     parameters = unknowns("rad", 0.15, "tilt_x", "tilt_y")
