@@ -15,9 +15,9 @@ from wrod import arguments
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import RodState
-from wrod.solvers.adjoint import StepAdjoint, require_differentiable
+from wrod.solvers.adjoint import StepAdjoint
 from wrod.solvers.dynamics import Dynamics
-from wrod.solvers.trace import Trace
+from wrod.solvers.trace import Trace, require_differentiable
 
 # Of `RodBatch.elastic_model`: what is scaled for stretching, bending and twisting.
 _STRETCHING, _BENDING, _TWISTING = 1, 2, 6

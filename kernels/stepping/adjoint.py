@@ -185,10 +185,11 @@ def solve(
     # In and out:
     x: wp.array3d(dtype=ALONE),
 ):
-    """Launched over (rod, lane) in blocks of a warp."""
+    """All right-hand sides. Launched over (rod, lane) in blocks of a warp."""
     r, _lane = wp.tid()
     if active[r] != 0:
-        substitute_lanes(factor, r, 0, x)
+        for j in range(x.shape[1]):
+            substitute_lanes(factor, r, j, x)
 
 
 @wp.func

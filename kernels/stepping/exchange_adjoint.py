@@ -104,7 +104,7 @@ def jacobian(v: wp.vec3d) -> wp.mat33d:
 
 
 @wp.func
-def turned_on(v: wp.vec3d, angle_of: wp.vec3d) -> wp.vec3d:
+def turned_back(v: wp.vec3d, angle_of: wp.vec3d) -> wp.vec3d:
     """v, turned back by a rotation vector."""
     angle = wp.length(angle_of)
     if angle == ZERO:
@@ -158,7 +158,7 @@ def want_poses(
             gone = wp.transpose(jacobian(left * way)) * torque
             inverse = wp.inverse(jacobian(way))
             start = left * (wp.transpose(inverse) * gone)
-            torque = turned_on(torque, left * way) - left * (inverse * gone)
+            torque = turned_back(torque, left * way) - left * (inverse * gone)
             u = wp.quat_rotate(before, wp.vec3d(ONE, ZERO, ZERO))
             want_edge(anchor, r, h.edge, wp.cross(start, u) / wp.abs(h.reach))
             wp.atomic_add(anchor, r, 4 * h.edge + 3, wp.dot(start, u))

@@ -2,8 +2,9 @@
 `wrod.kernels.stepping.adjoint`, which goes on from there.
 
 What is free goes as far again, y_(n+1) = 2 y - y_n and v_(n+1) = 4 (y - y_n) / dt - v_n with y in
-the middle; what is moved is put where it belongs. Edges do so by their angles theta = phi - psi to
-reference frames, which are carried from the step's start to its end at once:
+the middle; what is moved is put where it belongs, and so is what bodies hold that move with the
+rods (2 in `moved`), but with the velocities of what is free. Edges go on by their angles
+theta = phi - psi to reference frames, which are carried from the step's start to its end at once:
 psi_(n+1) = psi_n + b . de_(n+1) + a . de_n.
 """
 
@@ -94,6 +95,11 @@ def want_angles(
         middle = TWO * wanted + FOUR * spin / dt
         less = wanted + FOUR * spin / dt
         before.velocity[r, a] = before.velocity[r, a] - spin
+    elif moved[r, a] == 2:
+        middle = FOUR * spin / dt
+        held = wanted
+        less = middle
+        before.velocity[r, a] = before.velocity[r, a] - spin
     elif moved[r, a] != 0:
         turn -= spin / dt
         held = wanted + spin / dt
@@ -144,6 +150,11 @@ def want_places(
         if free[r, a] != 0:
             middle = TWO * wanted + FOUR * speed / dt
             start = -wanted - FOUR * speed / dt
+            before.velocity[r, a] = before.velocity[r, a] - speed
+        elif moved[r, a] == 2:
+            middle = FOUR * speed / dt
+            held = wanted
+            start = -middle
             before.velocity[r, a] = before.velocity[r, a] - speed
         elif moved[r, a] != 0:
             held = wanted + speed / dt

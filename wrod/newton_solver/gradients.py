@@ -12,13 +12,14 @@ import numpy as np
 import warp as wp
 
 from wrod.errors import RodError
+from wrod.kernels.stepping import body_exchange_adjoint as body_kernels
 from wrod.kernels.stepping import exchange_adjoint as kernels
-from wrod.kernels.stepping.trace import Wanted
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.tapes import off_tape, recorded
 from wrod.rods.discretisation import of_free_part
-from wrod.solvers.adjoint import StepAdjoint, require_differentiable
-from wrod.solvers.trace import Record, Trace
+from wrod.solvers.adjoint import StepAdjoint
+from wrod.solvers.body_adjoint import BodyAdjoint
+from wrod.solvers.trace import Record, Trace, require_differentiable
 
 # Properties with a gradient: in the orders in which `want_properties` and `want_of_rods` take them.
 _OF_NODES = (
@@ -52,12 +53,19 @@ def _numbers(array: wp.array | None, columns: int, device) -> wp.array:
     )
 
 
+def _gradient_of(array: wp.array | None, columns: int, device) -> wp.array:
+    """What is wanted of an array, as numbers; without any if it has no gradient."""
+    return _numbers(None if array is None else array.grad, columns, device)
+
+
 @dataclass(eq=False)
 class Ends:
-    """Arrays that a step has read or written: of `_STATE`, and the bodies' poses."""
+    """Arrays that a step has read or written: of `_STATE`, the poses of bodies that others move,
+    and poses, velocities and forces of those that move with rods."""
 
     rods: tuple[wp.array, ...]
     body_q: wp.array | None
+    own: tuple[wp.array | None, ...]
 
     @classmethod
     def of(cls, state: newton.State, poses: newton.State | None = None) -> Ends:
@@ -69,13 +77,14 @@ class Ends:
             )
         # Forces of contact pass nothing on, which None says and zeros would not.
         state.der.node_contact_f.requires_grad = False
-        return cls(rods, (state if poses is None else poses).body_q)
+        own = state.body_q, state.body_qd, state.body_f
+        return cls(rods, (state if poses is None else poses).body_q, own)
 
     def gradients(self) -> list[wp.array]:
         return [a.grad for a in self.rods]
 
     def arrays(self) -> list[wp.array]:
-        every = [*self.rods, self.body_q]
+        every = [*self.rods, self.body_q, *self.own]
         return [a for a in every if a is not None and a.grad is not None and a.size]
 
 
@@ -102,7 +111,7 @@ class Taken:
     duration: float
     previous: Taken | None
     tape: weakref.ref
-    wanted: tuple[Any, Any] | None = None
+    wanted: list[dict[str, wp.array]] | None = None
 
 
 class GroupGradients:
@@ -189,9 +198,9 @@ class GroupGradients:
         adjoint.clear()
         self._anchor.zero_()
         if taken.wanted is not None:
-            for level, wanted in zip((adjoint.now, adjoint.before), taken.wanted, strict=True):
-                for name in Wanted.vars:
-                    wp.copy(getattr(level, name), getattr(wanted, name))
+            for (_, level), wanted in zip(adjoint.known, taken.wanted, strict=True):
+                for name, array in wanted.items():
+                    wp.copy(getattr(level, name), array)
             taken.wanted = None
         body_q = ends.body_q
         retained = body_q is not None and body_q.retain_grad
@@ -204,12 +213,24 @@ class GroupGradients:
             [group.place, capsules, record.count, *record.end, *ends.gradients()],
             [_numbers(by_poses, 7, group.device), adjoint.now],
         )
+        if adjoint.bodies is not None:
+            adjoint.recall(record, 0)
+            body, speeds = adjoint.bodies.bodies.body, ends.own[1]
+            by_speeds = _gradient_of(speeds, 6, group.device)
+            if speeds is not None and speeds.retain_grad:
+                by_speeds = wp.clone(by_speeds)
+            group.batch.launch(
+                body_kernels.want_bodies_written,
+                body.shape,
+                [body, record.count, adjoint.bodies.end],
+                [_numbers(by_poses, 7, group.device), by_speeds, adjoint.bodies.now],
+            )
 
     def go_back(self, taken: Taken, ends: Ends) -> None:
         """Add what is wanted of the arrays that the step read."""
         group, adjoint = self.group, self._prepare()
-        by_poses = _numbers(None if ends.body_q is None else ends.body_q.grad, 7, group.device)
-        hold = group.hold
+        by_poses = _gradient_of(ends.body_q, 7, group.device)
+        hold, bodies = group.hold, adjoint.bodies
         if by_poses.shape[0] == 0 and (hold.numpy()["body"] >= 0).any():
             raise RodError("the bodies that hold rods have no gradients: body_q requires none")
 
@@ -221,9 +242,19 @@ class GroupGradients:
                 + [taken.rotation, adjoint.held],
                 [self._anchor, adjoint.model.rest_length, by_poses],
             )
+            if bodies is not None:
+                group.batch.launch(
+                    body_kernels.want_reach,
+                    hold.shape,
+                    [hold, group.place, step, adjoint.gradient, bodies.pose, bodies.multiplier]
+                    + [adjoint.held],
+                    [adjoint.model.rest_length],
+                )
 
         adjoint.go_back(taken.record, held)
         adjoint.settle(taken.changed)
+        if bodies is not None:
+            self._want_bodies(bodies, taken, ends)
         by_q, by_qd, by_director, by_spin = ends.gradients()
         batch, now, step = group.batch, adjoint.now, adjoint.step
         shape = group.place.shape
@@ -242,8 +273,32 @@ class GroupGradients:
         )
         batch.launch(kernels.want_nodes_read, shape, [group.place], [now, by_q, by_qd])
         if taken.previous is not None:
-            taken.previous.wanted = _copies(now), _copies(adjoint.before)
+            taken.previous.wanted = [
+                {name: wp.clone(getattr(level, name)) for name in struct.vars}
+                for struct, level in adjoint.known
+            ]
         self._want_properties(adjoint)
+
+    def _want_bodies(self, bodies: BodyAdjoint, taken: Taken, ends: Ends) -> None:
+        """Of the bodies that move with the rods, to the arrays that the step read."""
+        batch, adjoint, body = self.group.batch, self._prepare(), bodies.bodies.body
+        batch.launch(
+            body_kernels.want_held_read,
+            body.shape,
+            [body, self.group.hold, self.group.place, taken.changed, adjoint.step, bodies.step],
+            [adjoint.now, bodies.now, adjoint.model.rest_length],
+        )
+        device = self.group.device
+        by_q, by_qd, by_f = (
+            _gradient_of(a, n, device) for a, n in zip(ends.own, (7, 6, 6), strict=True)
+        )
+        batch.launch(
+            body_kernels.want_bodies_read,
+            body.shape,
+            [body, taken.changed, int(taken.previous is not None), bodies.step]
+            + [bodies.force, bodies.torque],
+            [bodies.now, by_q, by_qd, by_f],
+        )
 
     def _gradient(self, name: str) -> wp.array:
         """Of a property; without numbers if it has none."""
@@ -275,13 +330,6 @@ class GroupGradients:
                 [self._shapes, adjoint.by_friction],
                 [model.shape_material_mu.grad],
             )
-
-
-def _copies(level) -> Any:
-    out = Wanted()
-    for name in Wanted.vars:
-        setattr(out, name, wp.clone(getattr(level, name)))
-    return out
 
 
 class Gradients:

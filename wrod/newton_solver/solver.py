@@ -62,10 +62,10 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
 
     Of a model that was finalized with `requires_grad=True`, steps on a `wp.Tape` have gradients, by
     the adjoint of the steps as they are taken: by `state.der`, `body_q` of kinematic bodies that
-    hold rods, `gravity`, `shape_material_mu`, and `model.der`'s stretching, bending and twisting
-    stiffness, natural curvature and twist, internal and air damping, radii, and node masses and
-    rest lengths (both not for "consistent" inertia). Others have no `grad`. Rods may touch planes
-    that stand still; all else is refused.
+    hold rods, `body_q`, `body_qd` and `body_f` of free ones, `gravity`, `shape_material_mu`, and
+    `model.der`'s stretching, bending and twisting stiffness, natural curvature and twist, internal
+    and air damping, radii, and node masses and rest lengths (both not for "consistent" inertia).
+    Others have no `grad`. Rods may touch planes that stand still; all else is refused.
 
     Example
     -------
@@ -248,8 +248,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
             RodError: dt is not positive, a state was made from another model, or, on a CPU, holds
                 numbers that are not finite (a GPU cuts such rods out, as `diverged` and a warning
                 of the next step say), or, while a tape is recorded, the step has no gradients: rods
-                with a past, that touch anything but planes, or that hold bodies which this solver
-                moves.
+                with a past, or that touch anything but planes, or a body that this solver moves
+                touches something.
         """
         with retold_as(RodError):
             self.validate_observables(observables, contacts)

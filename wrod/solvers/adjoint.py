@@ -7,55 +7,28 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrod.errors import RodError
 from wrod.kernels.contact import plane_adjoint, planes
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import adjoint as kernels
 from wrod.kernels.stepping import dynamics as inertia
 from wrod.kernels.stepping import midpoint_adjoint, model_adjoint
+from wrod.kernels.stepping.body_adjoint import WantedBodies
 from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.trace import OneStep, Wanted, go_back, recall_step
 from wrod.rods.state import Derivatives, RodState
+from wrod.solvers.body_adjoint import BodyAdjoint
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.inertia import line_density
 from wrod.solvers.steps import SCHEMES
-from wrod.solvers.trace import Record, filled, planes_of, step_arrays
+from wrod.solvers.trace import (
+    Record,
+    filled,
+    make_wanted,
+    planes_of,
+    require_differentiable,
+    step_arrays,
+)
 from wrod.solvers.viscosity import Viscosity
-
-
-def require_differentiable(dynamics: Dynamics) -> None:
-    """See that steps have an adjoint.
-
-    Raises:
-        RodError: rods have laws of their own or a past, or hold bodies that move with them.
-    """
-    batch = dynamics.batch
-    if batch.energies or batch.layers or batch.inelastic is not None:
-        raise RodError("gradients of motion know the linear and the softening law only")
-    if dynamics.bodies is not None:
-        raise RodError(
-            "gradients of motion do not know bodies that move with the rods that they hold; let "
-            "them be kinematic"
-        )
-    touched = planes_of(dynamics)
-    if touched is not None and touched.friction_field is not None:
-        raise RodError("gradients of motion do not know friction that varies from place to place")
-
-
-def make_wanted(dynamics: Dynamics) -> Any:
-    """`Wanted` of nothing yet."""
-    batch = dynamics.batch
-    nodes, touched = batch.node_count, planes_of(dynamics)
-
-    def zeros(*columns, dtype: type = wp.float64):
-        return wp.zeros((batch.rod_count, *columns), dtype=dtype, device=batch.device)
-
-    out = Wanted()
-    out.dof, out.velocity, out.turn = (zeros(n) for n in (*[batch.dof_count] * 2, nodes - 1))
-    out.strain = zeros(nodes if dynamics.viscosity.exists else 0, dtype=wp.vec4d)
-    memory = (0, 0) if touched is None else touched.memory[1].shape[1:]
-    out.bristle = zeros(*memory, dtype=wp.vec3d)
-    return out
 
 
 class StepAdjoint:
@@ -79,6 +52,9 @@ class StepAdjoint:
         by_friction: (rod, shape) derivatives by the coefficients of friction, likewise.
         held: (rod, dof) what is wanted of what is moved, at the end of the step gone through last.
         step: that step, `wrod.kernels.stepping.trace.OneStep`.
+        gradient: (rod, dof) its residual.
+        known: what steps before may have to know: structs, `now` and `before` of rods and bodies.
+        bodies: the adjoint of the bodies that hold rods, or None.
 
     Raises:
         RodError: see `require_differentiable`.
@@ -119,6 +95,7 @@ class StepAdjoint:
         for name in ("active", "coefficient", "span"):
             setattr(self._pace, name, arrays[name])
         self._at = Derivatives.zeros(rods, dofs, device)
+        self.gradient = self._at.gradient
         self._by_end, self._by_start, self._moment = (
             floats(nodes - 1, dtype=wp.vec3d) for _ in range(3)
         )
@@ -134,9 +111,17 @@ class StepAdjoint:
             ),
         )  # fmt: skip
         self._factor = floats(dofs, banded_lu.BAND)
-        self._x = wp.zeros((rods, 1, dofs), dtype=banded_lu.ALONE, device=device)
         self._held, self.held = floats(dofs), floats(dofs)
-        self.moved = wp.array(np.asarray(moved, dtype=np.int32), dtype=wp.int32, device=device)
+        self.bodies = None if dynamics.bodies is None else BodyAdjoint(dynamics.bodies)
+        moved = np.asarray(moved, dtype=np.int32)
+        self._x = floats(1, dofs, dtype=banded_lu.ALONE)
+        self.known = [(Wanted, self.now), (Wanted, self.before)]
+        if self.bodies is not None:
+            carried = (dynamics.bodies.carried.numpy() != 0) & (batch.free.numpy() == 0)
+            moved = np.where(carried, 2, moved)
+            self._x = self.bodies.x
+            self.known += [(WantedBodies, w) for w in (self.bodies.now, self.bodies.before)]
+        self.moved = wp.array(moved, dtype=wp.int32, device=device)
         none = floats(0)
         self._edge_mass = none if dynamics.edge_mass is None else dynamics.edge_mass
         self._viscous_time = self.viscosity.time if viscous else floats(0, dtype=wp.vec4d)
@@ -186,6 +171,8 @@ class StepAdjoint:
         for name in model_adjoint.WantedModel.vars:
             getattr(self.model, name).zero_()
         self.by_friction.zero_()
+        if self.bodies is not None:
+            self.bodies.clear()
 
     def go_back(self, record: Record, held=None) -> None:
         """Go from the end of a record to its start.
@@ -197,7 +184,7 @@ class StepAdjoint:
         batch = self.batch
         shape = (batch.rod_count, batch.dof_count)
         for back in range(record.most):
-            batch.launch(recall_step, shape, [record.steps, record.count, back], [self.step])
+            self.recall(record, back)
             if self._goes_halfway:
                 recorded = [record.steps, record.count, back, *record.end]
                 batch.launch(midpoint_adjoint.recall_end, shape, recorded, [self._end])
@@ -215,6 +202,16 @@ class StepAdjoint:
             if held is not None:
                 held(self.step)
             batch.launch(go_back, shape, [self.step.active], list(self._levels))
+            if self.bodies is not None:
+                self.bodies.go_back(self.step.active)
+
+    def recall(self, record: Record, back: int) -> None:
+        """Take up the step that is `back` before the last of each rod, in `step`."""
+        batch, count = self.batch, record.count
+        shape = (batch.rod_count, batch.dof_count)
+        batch.launch(recall_step, shape, [record.steps, count, back], [self.step])
+        if self.bodies is not None:
+            self.bodies.recall(record.bodies, count, back, self.step)
 
     def settle(self, chosen: wp.array) -> None:
         """Let what is wanted of strains at the start of the rods that are not 0 in `chosen` (rod,)
@@ -249,6 +246,8 @@ class StepAdjoint:
             [*kinds, step, end, self._turn, *ways],
             [self.now, self.before, self.held],
         )
+        if self.bodies is not None:
+            self.bodies.go_to_middle(end, self.held)
 
     def _factorise(self) -> None:
         """A_n^T of the step, as `Dynamics` puts A_n together."""
@@ -333,7 +332,11 @@ class StepAdjoint:
             [batch.free, step, now, self._by_end],
             [self._wanted, self._x],
         )
+        if self.bodies is not None:
+            self.bodies.load(step, self._matrix)
         batch.launch_lanes(kernels.solve, [step.active, self._factor], [self._x])
+        if self.bodies is not None:
+            self.bodies.solve(step, self.gradient, self._wanted)
         batch.launch(
             kernels.want_held,
             (rods, dofs),
@@ -357,6 +360,8 @@ class StepAdjoint:
             + [step, self.now, self._by_start, self._x],
             [self.before, self.older],
         )
+        if self.bodies is not None:
+            self.bodies.want_before(step, self.model.gravity)
         batch.launch(
             kernels.want_still,
             shape,

@@ -26,7 +26,8 @@ class Bodies:
 
     Attributes:
         place, turn: (row, slot) centres of mass [length] and rotations.
-        now, before: bodies as Newton's method has them, and at the start of the step.
+        now, before, older: bodies as Newton's method has them, at the start of the step, and a step
+            earlier.
         velocity, momentum: (row, slot) velocity of the centre of mass, angular momentum about it.
         force, torque: (row, slot) forces on the bodies from elsewhere, constant in a step.
         carried: (row, dof) whether a degree of freedom moves: it is free, or held by a body.
@@ -56,7 +57,7 @@ class Bodies:
         def floats(*size):
             return wp.zeros((shape[0], *size), dtype=wp.float64, device=device)
 
-        self.now, self.before, self._older = motion(), motion(), motion()
+        self.now, self.before, self.older = motion(), motion(), motion()
         self.place, self.turn = self.now.place, self.now.turn
         self.velocity, self.momentum = self.before.velocity, self.before.momentum
         self.force, self.torque = vectors(), vectors()
@@ -132,7 +133,7 @@ class Bodies:
                 self.batch.state.dof,
                 self.batch.derivatives.gradient,
                 self.before,
-                self._older,
+                self.older,
                 self.push,
             ],
             [self.now, self._residual, self._matrix],
@@ -216,7 +217,7 @@ class Bodies:
             kernels.finish_bodies,
             self.body.shape,
             [steps.accepted, steps.rejected, steps.step, steps.span],
-            [self.now, self.before, self._older],
+            [self.now, self.before, self.older],
         )
 
     def find_changes(self, body_q: wp.array, body_qd: wp.array, changed: wp.array) -> None:

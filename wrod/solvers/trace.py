@@ -11,6 +11,7 @@ import warp as wp
 from wrod.errors import RodError
 from wrod.kernels.contact import plane_adjoint
 from wrod.kernels.stepping import trace as kernels
+from wrod.solvers.body_adjoint import BodyTrace
 from wrod.solvers.contact import Contact
 
 if TYPE_CHECKING:
@@ -54,6 +55,36 @@ def filled(struct: Any, arrays: dict[str, wp.array]) -> Any:
     return struct
 
 
+def require_differentiable(dynamics: Dynamics) -> None:
+    """See that steps have an adjoint.
+
+    Raises:
+        RodError: rods have laws of their own or a past.
+    """
+    batch = dynamics.batch
+    if batch.energies or batch.layers or batch.inelastic is not None:
+        raise RodError("gradients of motion know the linear and the softening law only")
+    touched = planes_of(dynamics)
+    if touched is not None and touched.friction_field is not None:
+        raise RodError("gradients of motion do not know friction that varies from place to place")
+
+
+def make_wanted(dynamics: Dynamics) -> Any:
+    """`Wanted` of nothing yet."""
+    batch = dynamics.batch
+    nodes, touched = batch.node_count, planes_of(dynamics)
+
+    def zeros(*columns, dtype: type = wp.float64):
+        return wp.zeros((batch.rod_count, *columns), dtype=dtype, device=batch.device)
+
+    out = kernels.Wanted()
+    out.dof, out.velocity, out.turn = (zeros(n) for n in (*[batch.dof_count] * 2, nodes - 1))
+    out.strain = zeros(nodes if dynamics.viscosity.exists else 0, dtype=wp.vec4d)
+    memory = (0, 0) if touched is None else touched.memory[1].shape[1:]
+    out.bristle = zeros(*memory, dtype=wp.vec3d)
+    return out
+
+
 @dataclass(frozen=True)
 class Record:
     """Steps that a `Trace` has kept.
@@ -63,6 +94,7 @@ class Record:
         count: (rod,) steps of each, on the device; `most` is the largest.
         gravity: (rod,) that they were taken under.
         end: (rod, dof) configuration, and (rod, edge) reference directors, after the last.
+        bodies: `wrod.kernels.stepping.body_adjoint.BodySteps` of those that hold rods, or None.
     """
 
     steps: Any
@@ -70,6 +102,7 @@ class Record:
     most: int
     gravity: wp.array
     end: tuple[wp.array, wp.array]
+    bodies: Any = None
 
 
 class Trace:
@@ -105,6 +138,7 @@ class Trace:
         if self._planes is not None:
             _, now["bristle"], now["sliding"] = self._planes.memory
         self._now = filled(kernels.OneStep(), now)
+        self._bodies = None if dynamics.bodies is None else BodyTrace(dynamics.bodies, room)
 
     def follow(self, dynamics: NewtonSteps) -> None:
         """Keep the accepted steps."""
@@ -124,6 +158,8 @@ class Trace:
         batch.launch(
             kernels.keep_step, dim, [dynamics.pace, self.count, self._now], [self._kept]
         )  # fmt: skip
+        if self._bodies is not None:
+            self._bodies.follow(dynamics, self.count)
         dynamics._per_rod(kernels.count_step, [dynamics.accepted], [self.count])
 
     def take(self) -> Record:
@@ -166,4 +202,5 @@ class Trace:
             most,
             wp.clone(self.batch.gravity),
             (wp.clone(state.dof), wp.clone(state.director)),
+            None if self._bodies is None else self._bodies.take(most),
         )

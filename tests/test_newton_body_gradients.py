@@ -1,0 +1,213 @@
+"""Gradients of `SolverDER` on a `wp.Tape` through bodies that it moves, against differences."""
+
+import contextlib
+
+import newton
+import numpy as np
+import pytest
+import warp as wp
+from chosen import DEVICE
+from scipy.spatial.transform import Rotation
+from test_newton_gradients import STATE, f64, vec3d
+
+import wrod
+from wrod.newton_solver.gradients import PROPERTIES
+
+SolverDER = wrod.SolverDER
+BODY = ("body_q", "body_qd", "body_f")
+STEPS, DT = 5, 0.01
+# Steps of differences that single precision takes exactly.
+EXACT = {"gravity": 2.0**-7, "body_q": 2.0**-15, "body_qd": 2.0**-9, "body_f": 2.0**-16}
+# What a loss weighs poses and velocities of the body by.
+WEIGHTS = np.array([3.0, -2.0, 5.0, 4.0, 1.0, -3.0, 2.0, 0.3, 0.2, -0.4, 0.02, 0.03, -0.01])
+
+
+@wp.kernel
+def measure(
+    weight: wp.array(dtype=vec3d),
+    q: wp.array(dtype=vec3d),
+    v: wp.array(dtype=vec3d),
+    director: wp.array(dtype=vec3d),
+    spin: wp.array(dtype=f64),
+    poses: wp.array(dtype=wp.transform),
+    speeds: wp.array(dtype=wp.spatial_vector),
+    body: int,
+    of_body: wp.array(dtype=f64),
+    loss: wp.array(dtype=f64),
+):
+    i = wp.tid()
+    w = weight[i]
+    x = wp.dot(w, q[i]) + f64(0.05) * wp.dot(w, v[i]) + f64(9.0) * wp.dot(q[i], q[i])
+    if i < spin.shape[0]:
+        x += f64(0.2) * wp.dot(w, director[i]) + f64(0.003) * spin[i]
+    if i == 0:
+        for k in range(7):
+            x += of_body[k] * f64(poses[body][k])
+        for k in range(6):
+            x += of_body[7 + k] * f64(speeds[body][k])
+    wp.atomic_add(loss, 0, x)
+
+
+class Scene:
+    """A rod that a free body with an eccentric centre of mass holds: by its start, its end, and at
+    its middle."""
+
+    def __init__(self, holds: tuple[str, str, str | None], **options):
+        self.options = {"tolerance": 1e-13, "max_iterations": 60} | options
+        material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.3)
+        s = np.linspace(0.0, 0.3, 9)
+        line = np.stack([s, 0.01 * np.sin(9.0 * s), 0.02 * np.cos(7.0 * s)], axis=1)
+        builder = newton.ModelBuilder(gravity=(0.0, 0.0, -9.8125))
+        SolverDER.register_custom_attributes(builder)
+        self.body = builder.add_body(
+            xform=wp.transform((-0.01, 0.02, 0.03), wp.quat_rpy(0.3, 0.2, -0.1)), mass=0.02,
+            com=wp.vec3(0.01, -0.005, 0.0075),
+            inertia=wp.mat33(2e-6, 1e-7, 0.0, 1e-7, 3e-6, 2e-7, 0.0, 2e-7, 4e-6),
+        )  # fmt: skip
+        SolverDER.add_rod(
+            builder, line, material, start=holds[0], start_body=self.body, end=holds[1],
+            end_body=self.body, internal_damping=0.01, air_damping=0.3, visible=False,
+        )  # fmt: skip
+        if holds[2] is not None:
+            SolverDER.attach(builder, 0, self.body, node=4, kind=holds[2])
+        model = self.model = builder.finalize(device=DEVICE, requires_grad=True)
+        der, rng = model.der, np.random.default_rng(2)
+        # What the body holds begins on it: a state that says otherwise is put there.
+        off = np.ones((9, 1))
+        off[[0, 8, 4, 5]] = np.array([holds[0], holds[1], holds[2], holds[2]])[:, None] == "free"
+        off[[4, 5]] = holds[2] is None
+        self.start = {
+            "node_q": der.node_q.numpy() + 3e-4 * off * rng.normal(size=(9, 3)),
+            "node_qd": 0.3 * rng.normal(size=(9, 3)),
+            "edge_director": der.edge_director.numpy() + 0.2 * off[:8] * rng.normal(size=(8, 3)),
+            "edge_spin": 3.0 * rng.normal(size=8),
+            "body_q": model.body_q.numpy()[self.body].astype(float),
+            "body_qd": np.array([0.25, -0.125, 0.5, 2.0, -1.0, 3.0]),
+            "body_f": np.array([64, 32, -128, 1, 2, -1]) * 2.0**-10,
+        }
+        curvature = rng.normal(size=der.node_natural_curvature.numpy().shape)
+        der.node_natural_curvature.assign(curvature)
+        self.weight = wp.array(rng.normal(size=(9, 3)), dtype=vec3d, device=DEVICE)
+
+    def run(self, tape=None, **changed):
+        """Loss, in double precision and on the tape, and both states."""
+        start, states = self.start | changed, [self.model.state() for _ in range(2)]
+        for name in STATE:
+            getattr(states[0].der, name).assign(start[name])
+        for state in states:
+            for name in BODY:
+                array = getattr(state, name)
+                values = array.numpy()
+                values[self.body] = start[name]
+                array.assign(values)
+        solver = SolverDER(self.model, **self.options)
+        loss = wp.zeros(1, dtype=f64, device=DEVICE, requires_grad=True)
+        of_body = wp.array(WEIGHTS, dtype=f64, device=DEVICE)
+        with contextlib.nullcontext() if tape is None else tape:
+            for k in range(STEPS):
+                end = states[(k + 1) % 2]
+                solver.step(states[k % 2], end, None, None, DT)
+            arrays = [getattr(end.der, name) for name in STATE]
+            arrays += [end.body_q, end.body_qd, self.body, of_body]
+            wp.launch(measure, 9, [self.weight, *arrays], [loss], device=DEVICE)
+        single = np.concatenate([getattr(end, n).numpy()[self.body] for n in BODY[:2]])
+        exact = self._exactly(solver, single[3:7])
+        return float(loss.numpy()[0]) + WEIGHTS @ (exact - single), loss, states
+
+    def _exactly(self, solver, near):
+        """Pose and velocity of the body as the solver has them."""
+        bodies = solver._groups[0].bodies
+        place, quat = bodies.place.numpy()[0, 0], bodies.turn.numpy()[0, 0]
+        quat = quat * np.sign(quat @ near)
+        turn = Rotation.from_quat(quat)
+        model = self.model
+        inertia = turn.as_matrix() @ model.body_inertia.numpy()[self.body].astype(float)
+        spin = np.linalg.solve(inertia @ turn.as_matrix().T, bodies.momentum.numpy()[0, 0])
+        origin = place - turn.apply(model.body_com.numpy()[self.body])
+        return np.concatenate([origin, quat, bodies.velocity.numpy()[0, 0], spin])
+
+    def gradients(self):
+        tape = wp.Tape()
+        _, loss, states = self.run(tape)
+        tape.backward(loss)
+        arrays = {name: getattr(states[0].der, name) for name in STATE}
+        arrays |= {name: getattr(self.model.der, name) for name in PROPERTIES}
+        arrays["gravity"] = self.model.gravity
+        out = {k: a.grad.numpy().astype(float) for k, a in arrays.items() if a.grad is not None}
+        for name in BODY:
+            out[name] = getattr(states[0], name).grad.numpy()[self.body].astype(float)
+        # Forces act in every step, whichever state it begins in.
+        out["body_f"] = out["body_f"] + states[1].body_f.grad.numpy()[self.body]
+        return out
+
+    def difference(self, name, way, size):
+        """Along a way, of fourth order."""
+
+        def at(k):
+            if name in self.start:
+                return self.run(**{name: self.start[name] + k * size * way})[0]
+            array = self.model.gravity if name == "gravity" else getattr(self.model.der, name)
+            value = array.numpy().copy()
+            array.assign((value + k * size * way).astype(value.dtype))
+            found = self.run()[0]
+            array.assign(value)
+            return found
+
+        return (8.0 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12.0 * size)
+
+
+@pytest.mark.parametrize(
+    ("holds", "options"),
+    [
+        (("clamped", "free", None), {}),
+        (("pinned", "clamped", None), {"scheme": "euler", "max_step": 0.006}),
+        (("free", "pinned", "clamped"), {"inertia": "consistent"}),
+        (("pinned", "clamped", None), {"scheme": "midpoint", "max_step": 0.006}),
+    ],
+)
+def test_gradients_through_a_free_body(holds, options):
+    """Of a loss on the last state of rod and body, by all that the first held, by forces on the
+    body, by every property and gravity, within 1e-6; what is of single precision, within 1e-7 of
+    its parts."""
+    scene = Scene(holds, **options)
+    found = scene.gradients()
+    rounding = 4.0 * np.finfo(float).eps * abs(scene.run()[0])
+    assert set(found) >= {*STATE, *BODY, "gravity", "node_bending_stiffness"}
+    for name, gradient in found.items():
+        rng, size = np.random.default_rng(list(name.encode())), EXACT.get(name, 5e-5)
+        way = rng.normal(size=gradient.shape)
+        if name in EXACT:
+            way = rng.integers(-2, 3, size=gradient.shape).astype(float)
+            way[-1] = 1.0
+            if name == "body_f":
+                way[3:] /= 16.0
+        elif name in PROPERTIES and "natural" not in name:
+            way *= getattr(scene.model.der, name).numpy()
+        if name in ("edge_spin", "edge_stretching_stiffness"):  # which count little
+            way *= 30.0
+        expected = scene.difference(name, way, size)
+        parts = gradient * way
+        single = 1e-7 * np.abs(parts).sum() if name in EXACT else 0.0
+        assert parts.sum() == pytest.approx(expected, rel=1e-6, abs=rounding / size + single), name
+
+
+def test_what_touches_a_free_body_has_no_gradients():
+    """Contact of such a body is refused by the step that meets it; before, it has gradients."""
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    body = builder.add_body(xform=wp.transform((0.0, 0.0, 0.1)))
+    builder.add_shape_box(body, hx=0.02, hy=0.02, hz=0.02)
+    builder.add_ground_plane()
+    points = np.linspace(0.0, 0.2, 6)[:, None] * [1.0, 0.0, 0.0] + [0.0, 0.0, 0.4]
+    material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.2)
+    SolverDER.add_rod(builder, points, material, start="pinned", start_body=body, visible=False)
+    model = builder.finalize(device=DEVICE, requires_grad=True)
+    solver, state = SolverDER(model), model.state()
+    detection = newton.CollisionPipeline(model)
+    contacts = detection.contacts()
+    with wp.Tape():
+        solver.step(state, state, None, contacts, 0.01)
+        with pytest.raises(wrod.errors.RodError, match="touches something"):
+            for _ in range(20):
+                detection.collide(state, contacts)
+                solver.step(state, state, None, contacts, 0.01)

@@ -1,0 +1,196 @@
+"""The adjoint of bodies that hold rods and move with them, beside that of the rods' steps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from wrod.kernels.linear.banded_lu import ALONE
+from wrod.kernels.stepping import body_adjoint as kernels
+from wrod.kernels.stepping import body_system
+from wrod.kernels.stepping.bodies import BodyMotion
+from wrod.solvers.bodies import Bodies
+
+if TYPE_CHECKING:
+    from wrod.solvers.newton_steps import NewtonSteps
+
+_TURNS = ("turn", "turn_before", "turn_older")
+
+
+def body_steps(bodies: Bodies, steps: int = 1) -> Any:
+    """Room for steps of bodies, `wrod.kernels.stepping.body_adjoint.BodySteps`."""
+    rows, slots = bodies.body.shape
+    out = kernels.BodySteps()
+    for name in kernels.BodySteps.vars:
+        dtype = wp.quatd if name in _TURNS else wp.vec3d
+        array = wp.zeros((steps * rows, slots), dtype=dtype, device=bodies.batch.device)
+        setattr(out, name, array)
+    return out
+
+
+class BodyTrace:
+    """Keeps steps of bodies, for `wrod.solvers.trace.Trace`.
+
+    Args:
+        bodies: whose steps.
+        room: steps that are kept.
+    """
+
+    def __init__(self, bodies: Bodies, room: int):
+        self._bodies, self._kept = bodies, body_steps(bodies, room)
+
+    def follow(self, dynamics: NewtonSteps, count: wp.array) -> None:
+        """Keep the accepted steps, `count` (row,) having been kept."""
+        bodies = self._bodies
+        inputs = [dynamics.accepted, count, bodies.now, bodies.before, bodies.older]
+        bodies.batch.launch(kernels.keep_bodies, bodies.body.shape, inputs, [self._kept])
+
+    def take(self, most: int) -> Any:
+        """The first steps, of which no row has more than `most`."""
+        out, rows = kernels.BodySteps(), self._bodies.batch.rod_count
+        for name in kernels.BodySteps.vars:
+            setattr(out, name, wp.clone(getattr(self._kept, name)[: max(most, 1) * rows]))
+        return out
+
+
+class BodyAdjoint:
+    """Goes through steps of bodies backwards, with those of `wrod.solvers.adjoint.StepAdjoint`.
+
+    Attributes:
+        now, before, older: `wrod.kernels.stepping.body_adjoint.WantedBodies` at the end of a step,
+            at its start, and a step earlier.
+        step, end: the step gone through last, where its forces are and where it ended,
+            `wrod.kernels.stepping.body_adjoint.BodySteps`.
+        pose: the one of the two of which `held` of the rods' adjoint is.
+        multiplier: (row, motion) of its balance of bodies.
+        force, torque: (row, slot) what is wanted of them, summed up until `clear`.
+        x: (row, 1 + motion, dof) right-hand sides of the rods' system.
+    """
+
+    def __init__(self, bodies: Bodies):
+        self.bodies, batch = bodies, bodies.batch
+        self._batch = batch
+        shape, device = bodies.body.shape, batch.device
+        motions, dofs = bodies.columns, batch.dof_count
+
+        def vectors():
+            return wp.zeros(shape, dtype=wp.vec3d, device=device)
+
+        def floats(*size):
+            return wp.zeros((shape[0], *size), dtype=wp.float64, device=device)
+
+        self.now, self.before, self.older = (kernels.WantedBodies() for _ in range(3))
+        self._levels = (self.now, self.before, self.older)
+        for level in self._levels:
+            for name in kernels.WantedBodies.vars:
+                setattr(level, name, vectors())
+        self.step, self.end = body_steps(bodies), body_steps(bodies)
+        self.pose, self.force, self.torque = self.step, vectors(), vectors()
+        self._motion_at = BodyMotion()
+        self._motion_at.place, self._motion_at.turn = self.step.place, self.step.turn
+        self._motion_at.velocity = self._motion_at.momentum = vectors()
+        self._motion, self._column, self._line = (floats(motions, dofs) for _ in range(3))
+        self._load, self._matrix = floats(shape[1], 6), floats(shape[1], 36)
+        self._small, self.multiplier = floats(motions, motions + 1), floats(motions)
+        self._whole = wp.ones(shape[0], dtype=wp.float64, device=device)
+        self._fraction = wp.ones_like(self._whole)
+        self.x = wp.zeros((shape[0], 1 + motions, dofs), dtype=ALONE, device=device)
+        self._numbers = wp.array(
+            ptr=self.x.ptr, dtype=wp.float64, shape=self.x.shape, device=device
+        )
+
+    def clear(self) -> None:
+        """Want nothing any more."""
+        for level in self._levels:
+            for name in kernels.WantedBodies.vars:
+                getattr(level, name).zero_()
+        self.force.zero_()
+        self.torque.zero_()
+
+    def recall(self, steps: Any, count: wp.array, back: int, at: Any) -> None:
+        """Take up the step that is `back` before the last of each row, `at` being the rods'."""
+        batch, shape = self._batch, self.bodies.body.shape
+        batch.launch(kernels.recall_bodies, shape, [steps, count, back], [self.step])
+        batch.launch(kernels.find_ends, shape, [at, self.step], [self.end])
+
+    def go_to_middle(self, at: Any, held: wp.array) -> None:
+        """From the ends of the steps of the midpoint rule (`at`): what is wanted of what bodies
+        hold there is in `held` (row, dof)."""
+        bodies, self.pose = self.bodies, self.end
+        self.multiplier.zero_()
+        self._batch.launch(
+            kernels.want_middle,
+            bodies.body.shape,
+            [bodies.body, bodies.hold, at, self.step, self.end, held],
+            [self.now, self.before],
+        )
+
+    def load(self, at: Any, matrix: Any) -> None:
+        """Right-hand sides of the rods' system of a step: one for each motion of the bodies.
+
+        Args:
+            at: the rods' step.
+            matrix: `wrod.kernels.stepping.adjoint.StepMatrix`.
+        """
+        batch, hold, active = self._batch, self.bodies.hold, at.active
+        batch.launch(
+            body_system.spread_motion, hold.shape, [hold, active, self._motion_at, at.dof],
+            [self._motion],
+        )  # fmt: skip
+        batch.launch(
+            kernels.multiply_motions,
+            self._motion.shape,
+            [batch.free, active, matrix, self._motion],
+            [self._column, self._line, self.x],
+        )
+
+    def solve(self, at: Any, gradient: wp.array, wanted: wp.array) -> None:
+        """Multipliers of the bodies, and of all the rods' degrees of freedom, from the solutions.
+
+        Args:
+            at: the rods' step.
+            gradient, wanted: (row, dof) the rods' residual, and what a loss wants of them.
+        """
+        batch, bodies, active, free = self._batch, self.bodies, at.active, self._batch.free
+        self.pose = self.step
+        batch.launch(
+            kernels.balance_wanted,
+            bodies.body.shape,
+            [bodies.body, bodies.hold, at, gradient, self.step, self.now],
+            [self._load, self._matrix],
+        )
+        batch.launch(
+            kernels.condense_wanted,
+            self._small.shape,
+            [active, free, self._motion, self._column, self._line, self.x, wanted]
+            + [self._load, self._matrix],
+            [self._small],
+        )
+        batch.launch(
+            body_system.solve_bodies,
+            batch.rod_count,
+            [bodies.body, active],
+            [self._small, self.multiplier, self._fraction],
+        )
+        batch.launch(
+            body_system.combine,
+            (batch.rod_count, batch.dof_count),
+            [active, free, self._motion, self.multiplier, self._whole],
+            [self._numbers],
+        )
+
+    def want_before(self, at: Any, by_gravity: wp.array) -> None:
+        """From the end of the step to its starts, and to what acts on the bodies."""
+        body = self.bodies.body
+        self._batch.launch(
+            kernels.want_bodies_before,
+            body.shape,
+            [body, at, self.step, self.multiplier, self.now],
+            [self.before, self.older, by_gravity, self.force, self.torque],
+        )
+
+    def go_back(self, active: wp.array) -> None:
+        """Let the start of the step be the end of the one before."""
+        body = self.bodies.body
+        self._batch.launch(kernels.go_back_bodies, body.shape, [active], list(self._levels))
