@@ -157,31 +157,6 @@ def test_sensitivities_against_differences():
             assert np.abs(numeric - exact).max() < 1e-5 * max(1.0, np.abs(exact).max())
 
 
-def test_force_jacobian_against_differences():
-    """Contact force of the held rod, grip moved, contact edge held: by statics alone."""
-    from wrod.grasps.solver import GraspSolver
-    from wrod.solvers.statics import solve_equilibria
-
-    solver = GraspSolver(
-        np.array([8.0]), np.array([1.0]), np.array([900.0]), edge_count=64, closure=0, device="cpu"
-    ).run()
-    jacobian = solver.grasps().force_jacobian[0]
-    batch = solver.batch()
-    dof = batch.state.dof.numpy().copy()
-    h = 1e-4
-    numeric = np.empty((3, 3))
-    for c in range(3):
-        forces = []
-        for sign in (-1, 1):
-            target = dof.copy()
-            target[:, dof.shape[1] - 3 + c] += sign * h
-            assert solve_equilibria(batch, prescribed=target).converged.all()
-            forces.append(-batch.evaluate(order=1).gradient.numpy()[0, -3:])
-        numeric[:, c] = (forces[1] - forces[0]) / (2 * h)
-        solve_equilibria(batch, prescribed=dof)
-    assert np.abs(numeric - jacobian).max() < 1e-5 * np.abs(jacobian).max()
-
-
 def test_gravito_bending_length_drops_out():
     """Rods in SI units with equal dimensionless numbers hang in the same dimensionless shape."""
     from wrod.rods.batch import RodBatch

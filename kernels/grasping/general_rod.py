@@ -77,12 +77,14 @@ def put_second_derivatives(
     q: Bending,
     twist: Twisting,
     stretching_after: wp.mat33d,
+    spin: wp.vec3d,
     slot: int,
     j: int,
     # Out:
     stiffness: wp.array3d(dtype=wp.float64),
 ):
-    """Of stencil j; the upper triangle by (te, e, tf, f), row by row."""
+    """Of stencil j; the upper triangle by (te, e, tf, f), row by row. The edge after it spins by
+    `spin` where it moves."""
     ie = ONE / s.length_e
     jf = ONE / s.length_f
     t_ee, t_ef, t_ff = twisting_hessian(s, twist)
@@ -94,9 +96,15 @@ def put_second_derivatives(
     f_te = jf * q.f_te - c * twist.f
     e_tf = ie * q.e_tf + c * twist.e
     f_tf = jf * q.f_tf + c * twist.f
+    te_tf = q.te_tf - c
+    tf_tf = q.tf_tf + c
+    ef += wp.outer(e_tf, spin)
+    ff += wp.outer(f_tf, spin) + wp.outer(spin, f_tf + tf_tf * spin)
+    f_te += te_tf * spin
+    f_tf += tf_tf * spin
     stiffness[slot, j, 0] = q.te_te + c
-    stiffness[slot, j, 4] = q.te_tf - c
-    stiffness[slot, j, 26] = q.tf_tf + c
+    stiffness[slot, j, 4] = te_tf
+    stiffness[slot, j, 26] = tf_tf
     at = int(8)
     for a in range(3):
         stiffness[slot, j, 1 + a] = e_te[a]
@@ -115,6 +123,19 @@ def put_second_derivatives(
         for d in range(a, 3):
             stiffness[slot, j, at] = ff[a, d]
             at += 1
+
+
+@wp.func
+def spin_at_grip(
+    rod: GeneralRod, progress: wp.float64, state: wp.array3d(dtype=wp.float64), r: int, edges: int
+) -> wp.vec3d:
+    """c of `grip_torque`: the last edge's spin by its motion."""
+    e = point(state, r, edges) - point(state, r, edges - 1)
+    length = wp.length(e)
+    m1 = director(state, r, edges - 1)
+    m2 = wp.cross(e / length, m1)
+    k = (progress * HALF * rod.rest[r, edges - 1] / length) * rod.natural_curvature[r, edges]
+    return k[0] * m2 - k[1] * m1
 
 
 @wp.func
@@ -168,7 +189,11 @@ def evaluate_general(
         g_f = jf * q.g_f + twist.moment * twist.f + after.gradient
         g_te = q.g_te - twist.moment
         g_tf = q.g_tf + twist.moment
-        put_second_derivatives(s, q, twist, after.hessian, slot, j, stiffness)
+        spin = wp.vec3d(ZERO, ZERO, ZERO)
+        if j == edges - 1:
+            spin = spin_at_grip(rod, progress, state, r, edges)
+            g_f += g_tf * spin
+        put_second_derivatives(s, q, twist, after.hessian, spin, slot, j, stiffness)
         # Loads; those of the node before are complete.
         before = before - g_e
         m = moment + g_te

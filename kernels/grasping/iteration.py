@@ -121,7 +121,7 @@ def make_go_on(size: int) -> wp.Function:
     walk = make_walk(size)
     state_of_walk = walk.struct
     vector = make_border(size).vector
-    take_step = make_step(size)[0]
+    take_step = make_step(size, GeneralRod if general else StraightRod)[0]
     walk_on = make_lead(size)[1]
     # Where the thrust stands among the border's unknowns.
     last = size + 1
@@ -157,7 +157,7 @@ def make_go_on(size: int) -> wp.Function:
             v = v + along_family * w.tangent
         w.waited += 1
         node_1 = turn + v[0] * first_direction(half_turn(kappa, h0))
-        fraction = take_step(state, scratch, r, slot, edges, node_1, v, limit)
+        fraction = take_step(state, scratch, r, slot, edges, node_1, v, w.spin, limit)
         w.pull = w.pull + fraction * v[last]
         if balanced:
             w.moved = fraction * along_family
@@ -174,7 +174,7 @@ def make_solver(size: int):
     general = size == 4
     model = GeneralRod if general else StraightRod
     walk, find_balance = make_walk(size), make_balance(size, model)
-    lead, go_on, put_force = make_lead(size)[0], make_go_on(size), make_step(size)[1]
+    lead, go_on, put_force = make_lead(size)[0], make_go_on(size), make_step(size, model)[1]
     # Without a tangent to lead them, general rods have to be nearer to balance on the way.
     on_the_way = wp.constant(wp.float64(1.0e-2 if general else 5.0e-2))
 
@@ -247,7 +247,7 @@ def make_solver(size: int):
             curvature[r] = w.place
         thrust[r] = w.pull
         walk.put(w, r, family, out)
-        put_force(scratch.condensed, r, slot, task.weight[r], out)
+        put_force(rod, scratch, state, r, slot, edges, task.weight[r], out)
 
     return solve
 

@@ -157,7 +157,7 @@ def read_general(
     g = rest[r, edges - 1]
     last = state[r, edges - 1, 6] * g / (h + g)
     inner = TWO / (ONE + wp.dot(before, t)) / (HALF * (h + g)) * wp.cross(before, t)
-    natural = natural_curvature[r, edges - 1]
+    natural = natural_curvature[r, edges]
     own = wp.cross(t, natural[0] * m1 + natural[1] * m2)
     bend = HALF * g * own + (g / wp.float64(8.0)) * (inner - own) + last * t
     up = wp.cos(roll[r]) * m1 - wp.sin(roll[r]) * m2

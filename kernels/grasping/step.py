@@ -3,7 +3,12 @@
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.grasping.bordered import make_border
-from wrod.kernels.grasping.general_rod import advance_general, evaluate_general
+from wrod.kernels.grasping.general_rod import (
+    advance_general,
+    evaluate_general,
+    spin_at_grip,
+)
+from wrod.kernels.grasping.grip_torque import add_torque
 from wrod.kernels.grasping.reading import Level
 from wrod.kernels.grasping.scratch import Scratch
 from wrod.kernels.grasping.straight_rod import evaluate, point
@@ -60,17 +65,25 @@ def make_balance(size: int, model: type) -> wp.Function:
         w.negative = eliminate(
             scratch.stiffness, scratch.load, slot, edges, scratch.factor, scratch.condensed
         )
+        if wp.static(general):
+            w.spin = spin_at_grip(rod, w.place, state, r, edges)
+            add_torque(
+                scratch.load[slot, edges, 0],
+                point(state, r, edges) - point(state, r, edges - 1),
+                w.spin, slot, edges, scratch.factor, scratch.condensed,
+            )  # fmt: skip
 
     return find_balance
 
 
-def make_step(size: int) -> tuple[wp.Function, wp.Function]:
+def make_step(size: int, model: type) -> tuple[wp.Function, wp.Function]:
     """What moves a rod by what its border does, no further than is safe, and what reads the forces
     at the grip."""
     general = size == 4
     recover = make_elimination(size)[1]
     border = make_border(size)
     vector = border.vector
+    block = wp.types.matrix(shape=(size, size), dtype=wp.float64)
     first = size - 3
     advance = advance_general if general else advance_straight
 
@@ -115,26 +128,73 @@ def make_step(size: int) -> tuple[wp.Function, wp.Function]:
         edges: int,
         node_1: wp.vec3d,
         v: vector,
+        spin: wp.vec3d,
         limit: wp.float64,
     ) -> wp.float64:
         """Move the rod; the fraction of the step that was taken."""
         border.put_motion(scratch.motion, slot, edges, node_1, v)
         recover(scratch.factor, slot, edges, ONE, scratch.motion)
+        if wp.static(general):
+            for c in range(3):
+                by = scratch.motion[slot, edges, 1 + c] - scratch.motion[slot, edges - 1, 1 + c]
+                scratch.motion[slot, edges, 0] += spin[c] * by
         fraction = safe_fraction(state, scratch.motion, r, slot, edges, limit)
         advance(state, scratch.motion, r, slot, edges, fraction)
         return fraction
 
     @wp.func
     def put_force(
-        condensed: wp.array2d(dtype=wp.float64), r: int, slot: int, weight: wp.float64, out: Level
+        rod: model,
+        scratch: Scratch,
+        state: wp.array3d(dtype=wp.float64),
+        r: int,
+        slot: int,
+        edges: int,
+        weight: wp.float64,
+        out: Level,
     ):
-        """The force at the contact, and its derivative by the grip's position."""
+        """The force at the contact, and its derivative by the grip's position.
+
+        The contact holds the pattern's tangent, and the first edge gives: half of the contact's
+        cell bends and twists, twice as stiff as stencil 0, which has the whole. The grip holds a
+        general rod's roll, from which the last half edge twists."""
+        condensed = scratch.condensed
         held = border.grip_gradient(condensed, slot)
+        e = point(state, r, 1) - point(state, r, 0)
+        d = wp.normalize(e)
+        bent = block()
+        across = block()
+        for a in range(size):
+            for c in range(size):
+                p = size + wp.min(a, c)
+                q = size + wp.max(a, c)
+                bent[a, c] = scratch.stiffness[slot, 0, p * (4 * size - 1 - p) // 2 + q]
+            across[a, a] = ONE
+        for a in range(3):
+            for c in range(3):
+                across[first + a, first + c] = across[first + a, first + c] - d[a] * d[c]
+        bent = across * bent * across
+        coupling = block()
+        back = block()
+        last = block()
+        for a in range(size):
+            for c in range(size):
+                bent[a, c] += condensed[slot, 2 * size * a + c]
+                coupling[a, c] = condensed[slot, 2 * size * a + size + c]
+                back[a, c] = condensed[slot, 2 * size * (size + a) + c]
+                last[a, c] = condensed[slot, 2 * size * (size + a) + size + c]
+        last = last - back * wp.inverse(bent) * coupling
+        if wp.static(general):
+            angle = last[0, 0] + rod.twisting[r, edges] / (HALF * rod.rest[r, edges - 1])
+            for i in range(3):
+                for c in range(3):
+                    last[1 + i, 1 + c] = (
+                        last[1 + i, 1 + c] - last[1 + i, 0] * last[0, 1 + c] / angle
+                    )
         for i in range(3):
             out.force[r, i] = -held[i]
-            at = (size + first + i) * 2 * size + size + first
             for c in range(3):
-                out.jacobian[r, 3 * i + c] = -condensed[slot, at + c]
+                out.jacobian[r, 3 * i + c] = -last[first + i, first + c]
         out.force[r, 2] = out.force[r, 2] + weight
 
     return take_step, put_force

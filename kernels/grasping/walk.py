@@ -60,8 +60,9 @@ def _struct(size: int) -> type:
         place: wp.float64
         goal: wp.float64
         increment: wp.float64
-        # The thrust at the grip.
+        # The thrust at the grip; how the last edge of a general rod spins (`grip_torque`).
         pull: wp.float64
+        spin: wp.vec3d
         # The family's tangent, and the same by the length of the way of what the closure makes
         # small; where it led last, by how much, and the closure's slope there and its steepness.
         along: vector

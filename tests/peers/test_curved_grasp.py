@@ -1,77 +1,137 @@
-"""Grasps of naturally curved rods against a continuous Kirchhoff rod solved by collocation."""
+"""Grasps of rods that are bent or twisted at rest, or vary, against continuous Kirchhoff rods by
+collocation: the order in the mesh, and what the extrapolation leaves."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_bvp
+from continuum_rods import ContinuumGrasp, Section
 from scipy.spatial.transform import Rotation
 
-from wrod.grasps.mesh import WEIGHT
+import wrod
 from wrod.grasps.optimal import solve_grasps
+from wrod.grasps.rod_grasps import solve_rod_grasps
+from wrod.rods.law import Softening
+from wrod.rods.profile import Profile
+
+GREEN = wrod.RodModel.of(wrod.rod("green-vps"))
+B, L = GREEN.mean_bending_stiffness, GREEN.length
 
 
-def kirchhoff_grasp(ls, kappa, ks, natural, torsion, guess):
-    """q' = (1 + n.t/k_s) t, t' = w x t, d' = w x d, m' = -q' x n, n = (0, n_y, n_z) + w s z.
+def along(first, last) -> Profile:
+    return Profile([first, last], [0.0, L])
 
-    The curvature vector is w = m_bending + m_twisting / torsion + t x (c_1 d_1 + c_2 d_2). From the
-    frame (x, y, z) and m = kappa z - t x (c_1 y + c_2 z), without twisting moment, at the contact
-    to no bending moment at the grip. `natural` are (c_1, c_2); the guess is that of a straight rod.
-    """
 
-    def rhs(s, y, p, c):
-        _, t, m, d = y.reshape(4, 3, -1)
-        n = np.stack([0 * s, p[0] + 0 * s, p[1] + WEIGHT * s])
-        dq = (1 + (n * t).sum(0) / ks) * t
-        twist = (m * t).sum(0)
-        own = c[0] * np.cross(t, d, axis=0) + c[1] * np.cross(t, np.cross(t, d, axis=0), axis=0)
-        w = m + (1 / torsion - 1) * twist * t + own
-        dm = -np.cross(dq, n, axis=0)
-        return np.concatenate([dq, np.cross(w, t, axis=0), dm, np.cross(w, d, axis=0)])
+RODS = {
+    "twisted": replace(GREEN, natural_twist=3.0),
+    "anisotropic": replace(GREEN, bending_stiffness=(1.3 * B, 0.75 * B)),
+    "tapered": replace(
+        GREEN,
+        bending_stiffness=(along(1.5 * B, 0.6 * B), along(1.5 * B, 0.6 * B)),
+        twisting_stiffness=along(0.9 * B, 0.4 * B),
+        line_mass=along(GREEN.line_mass.values[0], 0.7 * GREEN.line_mass.values[0]),
+    ),
+    "softening": replace(GREEN, law=Softening(20.0, 0.6)),
+    "everything": replace(
+        GREEN,
+        bending_stiffness=(along(1.4 * B, 0.9 * B), along(0.9 * B, 0.7 * B)),
+        twisting_stiffness=along(0.5 * B, 0.8 * B),
+        principal_angle=0.3,
+        law=Softening(25.0, 0.5),
+        natural_curvature=(along(6.0, -1.0), -5.0),
+        natural_twist=1.5,
+    ),
+}
 
-    def ends(a, b, p, c):
-        start = np.array([0, 0, 0, 1, 0, 0, 0, c[1], kappa - c[0], 0, 1, 0])
-        across = np.cross(b[9:12], b[3:6])
-        return np.concatenate([a - start, [b[6:9] @ b[9:12], b[6:9] @ across]])
 
-    s, shape, force = guess
-    t = np.gradient(shape, s, axis=0)
-    t /= np.linalg.norm(t, axis=1, keepdims=True)
-    m = np.cross(t, np.gradient(t, s, axis=0))
-    y = np.concatenate([shape.T, t.T, m.T, np.cross([0.0, 0.0, 1.0], t).T])
-    p = -force[1:]
-    for share in np.linspace(0.0, 1.0, 1 + int(np.ceil(np.hypot(*natural) * ls / 0.7))):
-        c = share * np.asarray(natural)
-        found = solve_bvp(
-            lambda s, y, p, c=c: rhs(s, y, p, c),
-            lambda a, b, p, c=c: ends(a, b, p, c),
-            s, y, p=p, tol=1e-7, max_nodes=20000,
-        )  # fmt: skip
-        assert found.success, found.message
-        s, y, p = found.x, found.y, found.p
-    end = y[:, -1]
-    rotation = np.stack([end[3:6], end[9:12], np.cross(end[3:6], end[9:12])], axis=1)
-    return end[:3], Rotation.from_matrix(rotation), np.array([0, *-p])
+def errors(grasps, exact, length=1.0, force=1.0) -> tuple[float, float, float]:
+    """Of position [L_gb], orientation [rad] and force."""
+    turn = (Rotation.from_rotvec(grasps.rotation[0]).inv() * exact[1]).magnitude()
+    return (
+        np.abs(grasps.position[0] / length - exact[0]).max(),
+        turn,
+        np.abs(grasps.force[0] / force - exact[2]).max(),
+    )
+
+
+def order(coarse, fine) -> np.ndarray:
+    return np.log2(np.array(coarse) / np.array(fine))
+
+
+def uniform(ls, kappa, ks, natural, poisson, near=0.0, closure="zero_tension"):
+    straight = solve_grasps(ls, kappa, ks)
+    rod = ContinuumGrasp(Section.uniform(ks, natural, poisson), ls, kappa, 0.0)
+    rod.start(straight.arc_length[0], straight.shape[0], straight.force[0])
+    rod.continued()
+    return rod, rod.closed(closure, near)
 
 
 @pytest.mark.parametrize(
-    "ls, kappa, ks, natural, poisson",
+    "ls, kappa, ks, natural, poisson, closure",
     [
-        (3.0, 0.7, 300.0, (0.3, 0.0), 0.5),
-        (6.0, 2.2, 150.0, (-0.2, 0.1), 0.3),
-        (14.0, -0.6, 15000.0, (0.13, 0.0), 0.5),
-        (9.0, 0.0, 900.0, (0.13, 0.05), 0.0),
+        (9.0, 0.0, 900.0, (0.3, 0.5), 0.5, "zero_tension"),
+        (6.0, 2.2, 150.0, (-0.2, 0.1), 0.3, "zero_tension"),
+        (14.0, -0.6, 15000.0, (0.13, 0.0), 0.5, "zero_tension"),
+        (3.0, 0.7, 300.0, (0.3, 0.0), 0.5, "min_friction"),
+        (4.0, 1.0, 900.0, (0.2, 0.2), 0.0, "min_force"),
     ],
 )
-def test_curved_grasp_of_the_continuum(ls, kappa, ks, natural, poisson):
-    straight = solve_grasps(ls, kappa, ks)
-    grasps = solve_grasps(ls, kappa, ks, natural_curvature=natural, poisson=poisson)
-    assert grasps.converged.all()
-    position, rotation, force = kirchhoff_grasp(
-        ls, kappa, ks, natural, 1 / (1 + poisson),
-        (straight.arc_length[0], straight.shape[0], straight.force[0]),
-    )  # fmt: skip
-    # The effect is more than an order above the tolerance.
-    assert np.abs(position - straight.position[0]).max() > 0.04
-    assert np.abs(grasps.position[0] - position).max() < 2e-3
-    turn = (Rotation.from_rotvec(grasps.rotation[0]).inv() * rotation).magnitude()
-    assert turn < 3e-3
-    assert np.abs(grasps.force[0] - force).max() < 2e-3
+def test_curved_grasp_of_the_continuum(ls, kappa, ks, natural, poisson, closure):
+    def solve(edges, extrapolate=False):
+        return solve_grasps(
+            ls, kappa, ks, natural_curvature=natural, poisson=poisson, closure=closure,
+            edge_count=edges, extrapolate=extrapolate,
+        )  # fmt: skip
+
+    best = solve(128, True)
+    assert best.converged.all()
+    rod, found = uniform(ls, kappa, ks, natural, poisson, best.position[0, 0], closure)
+    exact = rod.read(found)
+    coarse, fine = (errors(solve(edges), exact) for edges in (128, 256))
+    assert (order(coarse, fine) > 1.85).all()
+    position, turn, force = errors(best, exact)
+    assert position < 1e-4
+    assert turn < 5e-4
+    assert force < 5e-5
+
+
+@pytest.mark.parametrize("name", RODS)
+def test_varying_grasp_of_the_continuum(name):
+    model, at, roll = RODS[name], 0.62, 0.4
+
+    def solve(edges, extrapolate=False):
+        return solve_rod_grasps(
+            model, at, 6.0, roll=roll, edge_count=edges, extrapolate=extrapolate
+        )
+
+    best = solve(128, True)
+    assert best.converged.all()
+    lgb, unit = best.length_unit, best.force_unit
+    ls, kappa = (L - at) / lgb, 6.0 * lgb
+    straight = solve_grasps(ls, kappa, 2000.0)
+    section = Section.of(model, at, lgb, unit)
+    rod = ContinuumGrasp(section, ls, kappa, roll + model.principal_angle)
+    rod.start(straight.arc_length[0], straight.shape[0], straight.force[0])
+    rod.continued()
+    exact = rod.read(rod.closed("zero_tension", 0.0))
+    coarse, fine = (errors(solve(edges), exact, lgb, unit) for edges in (128, 256))
+    assert (order(coarse, fine) > 1.85).all()
+    assert max(errors(best, exact, lgb, unit)) < 1e-5
+
+
+@pytest.mark.parametrize("natural", [(0.0, 0.0), (0.3, 0.2)])
+def test_force_jacobian_of_the_continuum(natural):
+    """The contact held, and the grip of a curved rod so that it does not spin about its tangent."""
+    inputs = 6.0, 0.8, 600.0, natural, 0.5
+    exact = ContinuumGrasp.force_jacobian(*uniform(*inputs), rolls=not any(natural))
+    ls, kappa, ks, natural, poisson = inputs
+
+    def error(edges, extrapolate=False):
+        grasps = solve_grasps(
+            ls, kappa, ks, natural_curvature=natural, poisson=poisson,
+            edge_count=edges, extrapolate=extrapolate,
+        )  # fmt: skip
+        return np.abs(grasps.force_jacobian[0] - exact).max() / np.abs(exact).max()
+
+    assert order(error(128), error(256)) > 1.85
+    assert error(128, True) < 1e-4

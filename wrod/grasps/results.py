@@ -74,7 +74,8 @@ class Grasps:
             Hessian, the stiffness per length of its softest motion [k_b/L_gb^4]; or None.
         iterations: (n,) Newton iterations, all meshes together.
         residual: (n,) largest unbalanced force on the finest mesh [k_b/L_gb^2].
-        force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact held.
+        force_jacobian: (n, 3, 3) derivative of `force` by the grip position: the contact clamped,
+            the grip's tangent free, and the roll about it, which a rod with sides of its own keeps.
         shape: (n, node, 3) the rod from contact to grip on the finest mesh [L_gb], or None.
         arc_length: (n, node) unstretched arc length of its nodes [L_gb], or None.
         twist: (n,) angle by which the rod is twisted between contact and grip, which may be more

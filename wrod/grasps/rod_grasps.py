@@ -45,7 +45,7 @@ class RodGrasps:
         rotation: (n, 3) rotation vector of the rod's frame at the grip, which is that of the
             contact frame at the contact [rad].
         force: (n, 3) force on the suspended rod at the contact [N].
-        force_jacobian: (n, 3, 3) derivative of `force` by the grip position [N/m].
+        force_jacobian: (n, 3, 3) derivative of `force` by the grip position [N/m]; see `Grasps`.
         twist: (n,) angle by which the rod is twisted between contact and grip [rad].
         shape: (n, node, 3) the rod from contact to grip [m].
         node_arc_length: (n, node) arc length of its nodes on the rod [m].
