@@ -295,7 +295,8 @@ def measured(
     Args:
         data: everything but what is measured.
         experiment: what the rod is really like.
-        seed: of the noise; noise: standard deviation of a marker coordinate [m].
+        seed: of the noise; noise: standard deviation of a marker coordinate [m]; without it the
+            wrench has none either.
         steps: in which the effect grows from nothing, so that rods stay on their branch; halved
             where a rod does not follow.
 
@@ -353,14 +354,15 @@ def measured(
         frames.append(np.moveaxis(frames_of(y[3:7]), 2, 0))
         forces.append(found.y[7:10, -1])
         torques.append(found.y[10:13, -1])
-    rng = np.random.default_rng(seed)
+    rng, noisy = np.random.default_rng(seed), float(noise > 0.0)
     position = experiment.see(np.array(positions), np.array(frames))
     force, torque = np.array(forces), np.array(torques)
     return {
         **data,
         "centerline": position + noise * rng.normal(size=position.shape),
-        "grip_force": force + np.hypot(0.02 * force, 2e-3) * rng.normal(size=force.shape),
-        "grip_torque": torque + np.hypot(0.02 * torque, 2e-4) * rng.normal(size=torque.shape),
+        "grip_force": force + noisy * np.hypot(0.02 * force, 2e-3) * rng.normal(size=force.shape),
+        "grip_torque": torque
+        + noisy * np.hypot(0.02 * torque, 2e-4) * rng.normal(size=torque.shape),
     }
 
 

@@ -123,11 +123,13 @@ def _lagrange(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
 
 
 def _frames_at(tangent, m1, nodes, shares) -> np.ndarray:
-    """(T, M, 3, 3) frames: those of the edges averaged at nodes, interpolated, orthonormalised."""
+    """(T, M, 3, 3) frames: those of the edges averaged at nodes, a clamp's at its node,
+    interpolated, orthonormalised."""
 
     def at_markers(edges):
-        padded = np.concatenate([edges[:, :1], edges, edges[:, -1:]], axis=1)
-        return _at(0.5 * (padded[:, 1:] + padded[:, :-1]), nodes, shares)
+        middle = 0.5 * (edges[:, 2:-1] + edges[:, 1:-2])
+        first, last = edges[:, :1], edges[:, -1:]
+        return _at(np.concatenate([first, first, middle, last, last], axis=1), nodes, shares)
 
     t, d = at_markers(tangent), at_markers(m1)
     t = t / np.sqrt(np.sum(t * t, axis=2, keepdims=True))
