@@ -40,9 +40,10 @@ def main() -> None:
     import warp as wp
 
     try:
-        from wrod.grasps.optimal import solve_grasps
+        room = importlib.import_module("wrod.grasps.optimal")
     except ModuleNotFoundError:  # before the library had rooms
-        from wrod.grasps import solve_grasps
+        room = importlib.import_module("wrod.grasps")
+    solve_grasps = room.solve_grasps
 
     options: dict[str, Any] = {"device": device}
     if "shapes" in inspect.signature(solve_grasps).parameters:

@@ -181,17 +181,17 @@ class Knots(Effect):
     """Every knot of some kinds as a parameter, for one linearisation."""
 
     def __init__(self, kinds: Sequence[str]):
-        self.kinds = [KINDS[kind] for kind in kinds]
+        self.quantities = [KINDS[kind] for kind in kinds]
         self.parameters = tuple(
             Parameter(f"{key}_{k}", "", 1.0)
-            for own in self.kinds
+            for own in self.quantities
             for key in own.keys
             for k in range(KNOTS)
         )
 
     def apply(self, setup, values):
         first, weights = 0, hats(setup.fraction, KNOTS)
-        for own in self.kinds:
+        for own in self.quantities:
             count = own.width * KNOTS
             part = np.asarray(values[first : first + count]).reshape(own.width, KNOTS)
             own.apply(setup, weights @ part.T)
