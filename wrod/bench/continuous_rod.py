@@ -354,16 +354,14 @@ def measured(
         frames.append(np.moveaxis(frames_of(y[3:7]), 2, 0))
         forces.append(found.y[7:10, -1])
         torques.append(found.y[10:13, -1])
-    rng, noisy = np.random.default_rng(seed), float(noise > 0.0)
+    rng = np.random.default_rng(seed)
     position = experiment.see(np.array(positions), np.array(frames))
-    force, torque = np.array(forces), np.array(torques)
-    return {
-        **data,
-        "centerline": position + noise * rng.normal(size=position.shape),
-        "grip_force": force + noisy * np.hypot(0.02 * force, 2e-3) * rng.normal(size=force.shape),
-        "grip_torque": torque
-        + noisy * np.hypot(0.02 * torque, 2e-4) * rng.normal(size=torque.shape),
-    }
+    position = position + noise * rng.normal(size=position.shape)
+    wrench = {"grip_force": (np.array(forces), 2e-3), "grip_torque": (np.array(torques), 2e-4)}
+    if noise > 0.0:
+        for values, least in wrench.values():
+            values += np.hypot(0.02 * values, least) * rng.normal(size=values.shape)
+    return {**data, "centerline": position} | {key: values for key, (values, _) in wrench.items()}
 
 
 def labels(rod: RodMaterial) -> dict[str, float]:
