@@ -14,6 +14,7 @@ from wrod.kernels.elastic.frames import transport_reference_frames
 from wrod.kernels.elastic.loads import dead_loads
 from wrod.kernels.elastic.softened_bending import softened_elasticity
 from wrod.kernels.lanes import CROWD, LONG, WARP, lanes
+from wrod.kernels.stepping.continuation import copy_configuration
 from wrod.rods.arrays import BatchArrays
 from wrod.rods.device import resolve_device
 from wrod.rods.state import Derivatives, RodState, node_positions
@@ -185,6 +186,15 @@ class RodBatch(BatchArrays):
             [target.tangent, target.director],
         )
         self._launch_twist(source, target, active)
+
+    def copy_states(self, chosen: wp.array, source: RodState, target: RodState) -> None:
+        """The whole configuration of the chosen rods."""
+        self.launch(
+            copy_configuration,
+            (self.rod_count, self.node_count),
+            [chosen, source.dof, source.tangent, source.director, source.reference_twist],
+            [target.dof, target.tangent, target.director, target.reference_twist],
+        )
 
     def find_reference_twist(self, active: wp.array) -> None:
         """Reference twist of the active rods out of their frames, nearest to what it was."""

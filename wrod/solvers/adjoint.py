@@ -10,7 +10,6 @@ import warp as wp
 from wrod.kernels.contact import plane_adjoint, planes
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import adjoint as kernels
-from wrod.kernels.stepping import dynamics as inertia
 from wrod.kernels.stepping import midpoint_adjoint, model_adjoint
 from wrod.kernels.stepping.body_adjoint import WantedBodies
 from wrod.kernels.stepping.pace import Pace
@@ -18,7 +17,7 @@ from wrod.kernels.stepping.trace import OneStep, Wanted, go_back, recall_step
 from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.body_adjoint import BodyAdjoint
 from wrod.solvers.dynamics import Dynamics
-from wrod.solvers.inertia import line_density
+from wrod.solvers.inertia import add_inertia, line_density
 from wrod.solvers.steps import SCHEMES
 from wrod.solvers.trace import (
     Record,
@@ -260,28 +259,8 @@ class StepAdjoint:
             order=2, state=self._state, out=at, active=step.active, model=self.viscosity.model,
             energy=False,
         )  # fmt: skip
-        history = [step.dof, step.dof_before, step.dof_older]
-        speeds = [step.velocity, step.velocity_older]
-        batch.launch(
-            inertia.add_inertia,
-            (rods, dofs),
-            [dynamics.mass, dynamics.air_damping, self._pace, *history, *speeds],
-            [at.gradient, at.hessian],
-        )
-        if dynamics.edge_mass is not None:
-            batch.launch(
-                inertia.add_edge_inertia,
-                dynamics.edge_mass.shape,
-                [dynamics.edge_mass, self._pace, *history, *speeds],
-                [at.gradient, at.hessian],
-            )
-        if dynamics.drag is not None:
-            batch.launch(
-                inertia.add_drag,
-                (rods, nodes),
-                [dynamics.drag, self._pace, *history],
-                [at.gradient, at.hessian],
-            )
+        places = [step.dof, step.dof_before, step.dof_older]
+        add_inertia(dynamics, self._pace, places, [step.velocity, step.velocity_older], at)
         self._add_contact()
         edges = (rods, nodes - 1)
         batch.launch(kernels.measure_turns, edges, [step], [self._by_end, self._by_start])

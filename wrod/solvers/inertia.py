@@ -4,8 +4,11 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import RodError
+from wrod.kernels.stepping import dynamics as kernels
+from wrod.kernels.stepping.pace import Pace
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import cells
+from wrod.rods.state import Derivatives
 
 
 def lumped_masses(batch: RodBatch, radius) -> np.ndarray:
@@ -26,6 +29,30 @@ def lumped_masses(batch: RodBatch, radius) -> np.ndarray:
     out[:, :, :3] = mass[:, :, None]
     out[:, :-1, 3] = 0.5 * radius**2 * line_density(batch) * rest
     return np.ascontiguousarray(out.reshape(batch.rod_count, -1)[:, :-1])
+
+
+def add_inertia(dynamics, pace: Pace, places: list, speeds: list, out: Derivatives) -> None:
+    """What inertia and air add to a step's residual and its matrix.
+
+    Args:
+        dynamics: what says masses, damping and drag.
+        pace: of the step.
+        places, speeds: degrees of freedom now and at two ends before, and velocities at these.
+        out: what is added to.
+    """
+    batch, into = dynamics.batch, [out.gradient, out.hessian]
+    batch.launch(
+        kernels.add_inertia,
+        (batch.rod_count, batch.dof_count),
+        [dynamics.mass, dynamics.air_damping, pace, *places, *speeds],
+        into,
+    )
+    if dynamics.edge_mass is not None:
+        inputs = [dynamics.edge_mass, pace, *places, *speeds]
+        batch.launch(kernels.add_edge_inertia, dynamics.edge_mass.shape, inputs, into)
+    if dynamics.drag is not None:
+        shape = batch.rod_count, batch.node_count
+        batch.launch(kernels.add_drag, shape, [dynamics.drag, pace, *places], into)
 
 
 def edge_masses(batch: RodBatch) -> np.ndarray:

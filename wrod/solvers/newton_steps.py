@@ -12,6 +12,7 @@ from wrod.kernels.stepping import newton_iteration as newton
 from wrod.kernels.stepping import pace
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.inelastic import InternalVariables
+from wrod.solvers.inertia import add_inertia
 from wrod.solvers.steps import SCHEMES, Motion, Steps
 from wrod.solvers.viscosity import Viscosity
 
@@ -57,7 +58,7 @@ class NewtonSteps(Steps):
         """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
         must have its frames, and from `velocity`; one that was cut out takes part again."""
         self._per_rod(pace.forget_history, [chosen], [self.pace])
-        self._copy(chosen, self.batch.state, self.start)
+        self.batch.copy_states(chosen, self.batch.state, self.start)
         self.internal.restart(chosen)
         for contact in self.contacts:
             contact.restart(chosen)
@@ -140,35 +141,8 @@ class NewtonSteps(Steps):
         dof = batch.state.dof
         batch.transport_frames(start, batch.state, self.active)
         batch.evaluate(order=2, active=self.active, model=self.viscosity.model, energy=False)
-        self._per_dof(
-            kernels.add_inertia,
-            [
-                self.mass,
-                self.air_damping,
-                self.pace,
-                dof,
-                start.dof,
-                self.dof_older,
-                self.velocity,
-                self.velocity_older,
-            ],
-            [out.gradient, out.hessian],
-        )
-        if self.edge_mass is not None:
-            batch.launch(
-                kernels.add_edge_inertia,
-                self.edge_mass.shape,
-                [self.edge_mass, self.pace, dof, start.dof, self.dof_older]
-                + [self.velocity, self.velocity_older],
-                [out.gradient, out.hessian],
-            )
-        if self.drag is not None:
-            batch.launch(
-                kernels.add_drag,
-                (batch.rod_count, batch.node_count),
-                [self.drag, self.pace, dof, start.dof, self.dof_older],
-                [out.gradient, out.hessian],
-            )
+        places = [dof, start.dof, self.dof_older]
+        add_inertia(self, self.pace, places, [self.velocity, self.velocity_older], out)
         if self.bodies is not None:
             self.bodies.clear_contact()
         for contact in self.contacts:
@@ -266,8 +240,8 @@ class NewtonSteps(Steps):
             # Velocities are of points that went straight on; on a body they turn.
             self.bodies.put(self.accepted, start)
             batch.transport_frames(start, batch.state, self.accepted)
-        self._copy(self.accepted, batch.state, start)
-        self._copy(self.rejected, start, batch.state)
+        batch.copy_states(self.accepted, batch.state, start)
+        batch.copy_states(self.rejected, start, batch.state)
 
     def _complete(self) -> None:
         """Bring accepted steps from where their forces are to their ends."""

@@ -12,6 +12,7 @@ from wrod.kernels.stepping import newton_iteration as newton
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.banded import BandedSystem
+from wrod.solvers.inertia import rounding_of
 from wrod.solvers.recording import launching
 
 # Largest change of an edge in one Newton step, as a fraction of its length.
@@ -125,7 +126,8 @@ class EquilibriumSolver:
         converged = np.zeros(rods, dtype=bool)
         iterations = np.zeros(rods, dtype=np.int64)
         residual = np.full(rods, np.inf)
-        self.tolerance.assign(np.maximum(tolerance, self._rounding()))
+        rounding = rounding_of(batch, self.length_scale.numpy(), self.force_scale.numpy())[:, 0]
+        self.tolerance.assign(np.maximum(tolerance, rounding))
         while pending.any():
             progress = np.minimum(done + increment, 1.0)
             missed = pending.copy()
@@ -168,22 +170,9 @@ class EquilibriumSolver:
             wp.copy(batch.load_factor, progress)
 
     def _copy(self, chosen, source: RodState, target: RodState) -> None:
-        batch = self.batch
         if isinstance(chosen, np.ndarray):
-            chosen = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=batch.device)
-        batch.launch(
-            continuation.copy_configuration,
-            (batch.rod_count, batch.node_count),
-            [chosen, source.dof, source.tangent, source.director, source.reference_twist],
-            [target.dof, target.tangent, target.director, target.reference_twist],
-        )
-
-    def _rounding(self) -> np.ndarray:
-        """(rod,) residual that is left by rounding positions in the stiffest edge."""
-        batch = self.batch
-        edge = (batch.stretching_stiffness.numpy() / batch.rest_length.numpy()).max(axis=1)
-        extent = np.abs(batch.positions()).max(axis=(1, 2)) + self.length_scale.numpy()
-        return 4 * np.finfo(float).eps * edge * extent / self.force_scale.numpy()
+            chosen = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.batch.device)
+        self.batch.copy_states(chosen, source, target)
 
     def _iterate(self, max_iterations: int, search: bool) -> np.ndarray:
         """Newton on the active rods until each has converged or stopped; iterations per rod."""

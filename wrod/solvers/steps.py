@@ -8,7 +8,6 @@ import warp as wp
 from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.lanes import WARP
-from wrod.kernels.stepping import continuation
 from wrod.kernels.stepping.pace import Pace
 from wrod.rods.batch import RodBatch
 from wrod.rods.device import OnDevice
@@ -116,12 +115,3 @@ class Steps(OnDevice):
     def _per_dof(self, kernel, inputs, outputs=()) -> None:
         batch = self.batch
         batch.launch(kernel, (batch.rod_count, batch.dof_count), inputs, outputs)
-
-    def _copy(self, chosen: wp.array, source: RodState, target: RodState) -> None:
-        batch = self.batch
-        batch.launch(
-            continuation.copy_configuration,
-            (batch.rod_count, batch.node_count),
-            [chosen, source.dof, source.tangent, source.director, source.reference_twist],
-            [target.dof, target.tangent, target.director, target.reference_twist],
-        )
