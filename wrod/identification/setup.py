@@ -5,6 +5,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from wrod.rods.discretisation import in_principal, of_free_part
+
 
 @dataclass
 class RodSetup:
@@ -62,6 +64,26 @@ class RodSetup:
             gravity=np.array([0.0, 0.0, -gravity]),
             **others,
         )
+
+    def on_mesh(self, rest_length: np.ndarray, share: np.ndarray) -> dict[str, np.ndarray]:
+        """As arguments of `RodBatch`, but for mass and loads; complex if the setup is.
+
+        Args:
+            rest_length: (n,) of the edges.
+            share: (n + 1,) of each node's cell that bends and twists, as in `of_free_part`.
+        """
+        return {
+            "rest_length": rest_length,
+            "stretching_stiffness": self.stretching,
+            **of_free_part(
+                share,
+                bending_stiffness=self.bending,
+                twisting_stiffness=self.twisting,
+                natural_curvature=in_principal(self.natural_curvature, self.principal_angle),
+                natural_twist=self.natural_twist,
+                softening=self.softening,
+            ),
+        }
 
     @property
     def edge_fraction(self) -> np.ndarray:

@@ -26,17 +26,9 @@ def batch_arrays(setups: Sequence[ClampedSetup]) -> dict[str, np.ndarray]:
         n = len(s.fraction) - 1
         h = s.length / n
         share = _free_share(s)
-        rows["rest_length"].append(np.full(n + 2, h))
-        rows["stretching_stiffness"].append(np.pad(s.stretching, 1, mode="edge"))
-        linear = 1.0 - s.law[:, 1].sum()
-        for name, value in of_free_part(
-            share,
-            bending_stiffness=linear * s.bending,
-            twisting_stiffness=s.twisting,
-            natural_curvature=in_principal(s.natural_curvature, s.principal_angle),
-            natural_twist=s.natural_twist,
-            softening=s.softening,
-        ).items():
+        here = s.on_mesh(np.full(n, h), share)
+        here["bending_stiffness"] = (1.0 - s.law[:, 1].sum()) * here["bending_stiffness"]
+        for name, value in here.items():
             rows[name].append(_with_ghosts(value))
         rows["node_mass"].append(np.pad(s.line_mass * h * share + s.node_mass, 1))
         rows["gravity"].append(s.gravity)

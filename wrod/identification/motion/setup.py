@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.setup import RodSetup
-from wrod.rods.discretisation import cells, in_principal, of_free_part
+from wrod.rods.discretisation import cells, in_principal
 
 # What the base model starts from where nothing is known: the gravito-bending length, and the strain
 # of the rod under its own weight. Motion only tells ratios to the weight.
@@ -98,17 +98,10 @@ class MotionSetup(RodSetup):
             share[node] = (0.5 * self.rest_length[edge] + self.clamp_length[end]) / length[node]
         mass = self.line_mass * length + self.node_mass
         angle, offset = self.principal_angle, self.marker_offset
-        here = of_free_part(
-            share,
-            bending_stiffness=self.bending,
-            twisting_stiffness=self.twisting,
-            natural_curvature=in_principal(self.natural_curvature, angle),
-            natural_twist=self.natural_twist,
-            softening=self.softening,
-        )
+        here = self.on_mesh(self.rest_length, share)
         return {
-            "rest_length": self.rest_length,
-            "stretching": self.stretching,
+            "rest_length": here["rest_length"],
+            "stretching": here["stretching_stiffness"],
             "stiffness": np.c_[here["bending_stiffness"], here["twisting_stiffness"]],
             "rest_strain": np.c_[here["natural_curvature"], here["natural_twist"]],
             "viscous_time": self.viscous_time,
