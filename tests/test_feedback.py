@@ -36,7 +36,9 @@ def bend():
     return pattern, wrod.plan(pattern, ROD, spacing=0.005)
 
 
-def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend):
+def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend, monkeypatch):
+    """Where rods are believed in and laid on the same coarse mesh."""
+    monkeypatch.setattr("wrod.deployment.beliefs._MESH", replace(COARSE, tolerance=1e-4))
     pattern, trajectory = bend
     off = Disturbance(offset=(0.0, 0.004), yaw=0.01)
     plant = Plant(ROD, Friction(0.6), off)
