@@ -122,11 +122,11 @@ def lay(
             trajectory's poses, their time law unchanged.
         release: as in `simulate_deployments`, for all or for each.
         hold, speed, discretisation, friction_field, device: see `simulate_deployments`;
-            derivatives are those of "euler".
+            derivatives are those of "euler" and "bdf2".
         watch: called now and then with the (rod,) times [s]; what it raises ends the laying.
 
     Raises:
-        RodError: a trial has fixtures or lets the rod roll, or the scheme is another, while
+        RodError: a trial has fixtures or lets the rod roll, or the scheme is "midpoint", while
             derivatives are wanted, or the directions do not match the trials.
     """
     device = resolve_device(device)
@@ -174,8 +174,8 @@ def lay(
 
 
 def _check(trials: list[Trial], directions: list[Directions], scheme: str) -> None:
-    if scheme != "euler":
-        raise RodError(f"derivatives of a deployment are those of euler, not {scheme}; leave it")
+    if scheme == "midpoint":
+        raise RodError("derivatives of a deployment know no midpoint; take scheme euler or bdf2")
     if len(directions) != len(trials) or len({len(d) for d in directions}) > 1:
         raise RodError(
             f"{len(trials)} trials have {len(directions)} sets of directions of "
