@@ -118,16 +118,27 @@ class ProfileEffect(Effect):
     Args:
         kind: of `KINDS`; basis: (KNOTS, width, P) its components.
         about: an effect of the same quantity that it is a profile about; its parameters come first.
+        start: to start fits from; default: no profile.
     """
 
     reference = "Gaussian process along the rod, size and smoothness of most evidence"
 
-    def __init__(self, kind: str, basis: np.ndarray, about: Effect | None = None):
+    def __init__(
+        self,
+        kind: str,
+        basis: np.ndarray,
+        about: Effect | None = None,
+        start: np.ndarray | None = None,
+    ):
         self.kind, self.basis, self.about = kind, basis, about
         self.name = f"profile_of_{kind}"
         self.title = f"{KINDS[kind].title}, a profile along the rod"
         own = tuple(Parameter(f"component_{k}", "", 1.0) for k in range(basis.shape[2]))
         self.parameters = (*about.parameters, *own) if about else own
+        self.start = np.zeros(len(self.parameters)) if start is None else start
+
+    def starts(self, measurements):
+        return [self.start]
 
     def apply(self, setup, values):
         first = len(self.parameters) - self.basis.shape[2]
@@ -250,7 +261,7 @@ def _linearised(laboratory) -> _Linear:
 
 
 def profiles_of(linear: _Linear) -> list[Found]:
-    """The likeliest profile of every kind, best first."""
+    """The likeliest profile of every kind about the base model, best first."""
     found = []
     for kind, own in KINDS.items():
         part = slice(linear.first[kind], linear.first[kind] + own.width * KNOTS)
@@ -288,7 +299,8 @@ def likeliest(kind: str, width: int, gram: np.ndarray, projected: np.ndarray) ->
 
 
 def built_effects(laboratory) -> tuple[list[Effect], list[Found]]:
-    """The effects that the profiles ask for, each with its starts, and the profiles."""
+    """The described effects that the profiles ask for, each with its starts, and the profiles, best
+    first."""
     linear = _linearised(laboratory)
     found = profiles_of(linear)
     gap = laboratory.measurements.material.length / (KNOTS - 1)
@@ -312,9 +324,6 @@ def built_effects(laboratory) -> tuple[list[Effect], list[Found]]:
         Stretch(stretches),
         LocalLoad(loads),
         Attraction(_points(laboratory, linear.forces)),
-    ]
-    effects += [
-        ProfileEffect(f.kind, f.basis) for f in found[:2] if f.evidence > 10.0 and f.basis.size
     ]
     return effects, found
 

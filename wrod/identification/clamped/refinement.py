@@ -9,6 +9,8 @@ leaves (what the poorer one leaves wrong passes for noise along the rod), improv
 and takes squares from trials that no choice has seen.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from wrod.errors import DataError
@@ -16,7 +18,14 @@ from wrod.identification.clamped.described import Described
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import estimate
-from wrod.identification.clamped.profiles import KINDS, KNOTS, Knots, ProfileEffect, likeliest
+from wrod.identification.clamped.profiles import (
+    KINDS,
+    KNOTS,
+    Found,
+    Knots,
+    ProfileEffect,
+    likeliest,
+)
 from wrod.identification.clamped.steps import has_profile, held_out_error
 from wrod.identification.clamped.verdict import UNSEEN_GAIN, Round, changed_by, unseen_gain
 from wrod.identification.effect import Effect, Model
@@ -63,6 +72,23 @@ def refined(
                 return rich, (held_out[0], ahead)
         laboratory.set_noise(*declared)
     return current, held_out
+
+
+def profile_of(laboratory: Laboratory, singles: Sequence[Fit], found: Found) -> ProfileEffect:
+    """A profile that was found about the base model as an effect.
+
+    Args:
+        singles: effects alone, best first. What one of them leaves is nearer to linear: the first
+            one of the same quantity is what the profile is about, where it asks for one.
+    """
+    for law in singles:
+        if _kind_of(laboratory, law.model.effects[0]) == found.kind:
+            rich, _ = _with_profile(laboratory, law, 0, found.kind)
+            if rich is None:
+                break
+            (effect,) = rich.model.effects
+            return ProfileEffect(found.kind, effect.basis, effect.about, rich.values)
+    return ProfileEffect(found.kind, found.basis)
 
 
 def _kind_of(laboratory: Laboratory, effect: Effect) -> str | None:

@@ -28,7 +28,7 @@ from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.moment_law import MomentLaw, moment_law_of
 from wrod.identification.clamped.noise import estimate
 from wrod.identification.clamped.profiles import built_effects
-from wrod.identification.clamped.refinement import refined
+from wrod.identification.clamped.refinement import profile_of, refined
 from wrod.identification.clamped.scatter import only_scatter
 from wrod.identification.clamped.steps import (
     FLUCTUATION,
@@ -114,6 +114,8 @@ def _chosen(laboratory: Laboratory, candidates: list[Effect], build: bool):
         opening = _opening(laboratory, pool)
         if tried_to_build or opening.reaches_noise:
             current, rounds, held_out = _search(laboratory, pool, opening)
+            if build:
+                current, held_out = _or_built(laboratory, opening, current, rounds, held_out)
             if not tried_to_build and not _reaches_noise(laboratory, current):
                 found = current, rounds, held_out
                 current, rounds, held_out = _with_built(laboratory, pool, opening, found)
@@ -168,7 +170,7 @@ def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, k
     Args:
         known: what a search among the known effects has found; None: it has not been made.
     """
-    built = built_effects(laboratory)[0]
+    built = _built(laboratory, opening.singles)
     if all(e.name != MomentLaw.name for e in pool):
         built.append(moment_law_of(laboratory))
     pool += built
@@ -187,6 +189,37 @@ def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, k
     if known and known[0].bic <= found[0].bic + BIC_MARGIN:
         return known
     return found
+
+
+def _built(laboratory: Laboratory, singles: list[Fit], above: float = -np.inf) -> list[Effect]:
+    """Effects that are built from profiles of the residual, the likeliest two of which are among
+    them; none where no profile's log evidence is above that.
+
+    Args:
+        singles: effects alone, best first.
+    """
+    built, found = built_effects(laboratory)
+    if found[0].evidence <= above:
+        return []
+    seen = [f for f in found[:2] if f.evidence > BIC_MARGIN and f.basis.size]
+    return [*built, *(profile_of(laboratory, singles, f) for f in seen)]
+
+
+def _or_built(laboratory: Laboratory, opening: _Opening, current: Fit, rounds, held_out):
+    """(model, held out): an effect that is built in the place of what was found, where the residual
+    is likelier as a profile: what reaches the noise need not be of the right quantity."""
+    empty = base_fit(laboratory)
+    if not current.model.effects or has_profile(current.model):
+        return current, held_out
+    built = _built(laboratory, opening.singles, 0.5 * (empty.bic - current.bic + BIC_MARGIN))
+    fits = extensions(laboratory, empty, built, rival=current.chi_squared)
+    if not fits or fits[0].bic > current.bic - BIC_MARGIN:
+        return current, held_out
+    step, ahead = _judged(laboratory, empty, empty, fits[0], fits, (np.inf, np.inf))
+    if step.accepted is None or ahead[1] >= held_out_error(laboratory, current)[1]:
+        return current, held_out
+    rounds.append(step)
+    return fits[0], (held_out[0], ahead[0])
 
 
 def _reaches_noise(laboratory: Laboratory, fit: Fit) -> bool:
