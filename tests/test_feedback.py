@@ -11,7 +11,7 @@ import wrod
 from wrod.deployment.beliefs import Beliefs, Beside, doubted, told_by
 from wrod.deployment.expectation import COARSE, FINE, PACE
 from wrod.deployment.feedback import Plant, Sight, lay_with_feedback
-from wrod.deployment.replanning import Moment
+from wrod.deployment.replanning import Moment, _Candidate
 from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen
@@ -248,3 +248,23 @@ def test_what_lies_beside_is_made_up_for_by_several_steps(bend):
     # Nothing of what is gone is changed, and the grip goes on without a step.
     ahead = way.laid > 0.12
     assert not moved[~ahead].any() and 0.0 < np.abs(moved[ahead][0]).max() < 5e-4
+
+
+def test_a_path_is_kept_that_others_as_likely_are_laid_better_by(bend):
+    """What is best for what is believed is worse where that is doubted."""
+    pattern, trajectory = bend
+    beliefs, way = Beliefs(pattern, ROD, 0.4, 0.05), Way(trajectory)
+    now = Moment(beliefs, way, 0.12, np.zeros(2), horizon=10.0)
+    one = np.zeros((100, len(beliefs.account.mean)))
+    one[:, 3] = 1e-3  # all of it goes along with the robot's place
+    reach = float(way.laid[-1])
+    sure = _Candidate(way, np.zeros(3), reach, np.full(100, 6e-4), 0.1 * one)
+    doubtful = _Candidate(way, np.zeros(3), reach, np.full(100, 1e-4), one)
+    assert not now._better(doubtful, sure)
+    # The mean size of a two-dimensional error whose components are one normal variable.
+    apart = beliefs.drawn(20_000) @ one.T
+    assert np.abs(apart).mean() == pytest.approx(1e-3 * np.sqrt(2.0 / np.pi), rel=0.02)
+    # Known by then, the same path is taken.
+    account = replace(beliefs.account, covariance=0.01 * beliefs.account.covariance)
+    beliefs.accounts = [account]
+    assert now._better(doubtful, sure)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -129,19 +128,13 @@ class Beliefs:
         """Of the robot about the pattern's beginning, likewise [rad]."""
         return float(self.mean[5] * _DOUBT[5])
 
-    def drawn(self, pairs: int, rng: np.random.Generator) -> list[Beliefs]:
-        """Others that are as likely as these: pairs that lie opposite each other, by the covariance
-        of what may be wrong."""
-        account = self.account
-        values, vectors = np.linalg.eigh(account.covariance)
+    def drawn(self, count: int) -> np.ndarray:
+        """(2 count, n) of what may be wrong, beside what is believed: in pairs that lie opposite
+        each other, and as likely as its covariance has them [deviations]."""
+        values, vectors = np.linalg.eigh(self.account.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        drawn = []
-        for apart in rng.standard_normal((pairs, len(root))) @ root.T:
-            for sign in (1.0, -1.0):
-                other = copy(self)
-                other.accounts = [replace(account, mean=account.mean + sign * apart)]
-                drawn.append(other)
-        return drawn
+        half = np.random.default_rng(0).standard_normal((count, len(root))) @ root.T
+        return np.concatenate([half, -half])
 
     def know(self, friction: float, how: Disturbance, field: FrictionField | None) -> None:
         """Believe the truth."""
@@ -176,19 +169,10 @@ class Beliefs:
         **options,
     ) -> Course[Laid]:
         """What is believed to lie at the end of a path."""
-        directions = None if columns is None else [columns]
-        (laid,) = yield self.asked([(path, placed)], directions, **options)
-        return laid
-
-    def asked(
-        self,
-        ways: list[tuple[Trajectory, np.ndarray | None]],
-        directions: list[Directions] | None = None,
-        **options,
-    ) -> Asked:
-        """What is believed in, laid by paths and `placed` as in `trial`."""
         given = {"friction_field": self.field, "discretisation": _MESH, "speed": PACE, **options}
-        return Asked([self.trial(*way) for way in ways], directions, given)
+        directions = None if columns is None else [columns]
+        (laid,) = yield Asked([self.trial(path, placed)], directions, given)
+        return laid
 
     def update(
         self, s: float, path: Trajectory, pictures: list[Seen], still: bool = False, **options
@@ -222,11 +206,21 @@ class Beliefs:
         error = np.sqrt(np.einsum("ni,ij,nj->n", matrix, self.account.covariance, matrix))
         return self.friction * np.exp(matrix @ self.account.mean), error
 
-    def felt(self, path: Trajectory, **options) -> Course[Laid]:
-        """What is believed to lie, and its derivatives by all that is believed [m/deviation]."""
-        laid = yield from self.lay(path, self._directions(path), **options)
+    def felt(
+        self,
+        path: Trajectory,
+        more: Directions | None = None,
+        placed: np.ndarray | None = None,
+        **options,
+    ) -> Course[Laid]:
+        """What is believed to lie, and its derivatives by all that is believed [m/deviation], and
+        after these along `more`; all of it `placed` as in `trial`."""
+        directions = self._directions(path)
+        directions = directions if more is None else directions + more
+        laid = yield from self.lay(path, directions, placed, **options)
         start = self.pattern.sample(-self.pattern.remainder_length)[0][0]
-        around = laid.centerline - start - [*(self.offset + self.placed[:2]), 0.0]
+        x, y, _ = self.placed if placed is None else placed
+        around = laid.centerline - start - [*(self.offset + (x, y)), 0.0]
         moved = np.zeros((3, *around.shape))
         moved[0, :, 0] = moved[1, :, 1] = 1.0
         moved[2] = np.cross([0.0, 0.0, 1.0], around)

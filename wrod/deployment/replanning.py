@@ -24,7 +24,7 @@ _SIZE, _ROUGHNESS = 2e-4, 2e-4
 _STEP, _SHORTER, _SHORT, _LONGER, _KEPT_PROMISE = 0.35, 0.3, 0.5, 2.0, 0.5
 # So many steps at most, and none that would save less by its model than that part, or than a root
 # mean square of that [m].
-_STEPS, _DONE, _FELT = 10, 0.03, 5e-5
+_STEPS, _DONE, _FELT = 10, 0.05, 1e-4
 # Damping of a step, relative to errors of 1 L_gb, that is tried first where it would be too large.
 _DAMPING = 1e-6
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
@@ -39,20 +39,22 @@ _WRONG, _LOOKED_AT, _BEGINS, _BEFORE = 3e-4, 0.1, 0.5, 0.05
 _GAIN = 2e-5
 
 
-# Pairs of others that are as likely as what is believed, which judge a way that is corrected.
-_PAIRS = 1
+# Pairs of others that are as likely as what is believed, which judge a way that is corrected: they
+# are laid as its derivatives tell.
+_PAIRS = 64
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A way, where the robot places all of it (3,) [m, rad], the length of it up to which it is
-    judged [m], and what lies beside what is believed then at the points of the metric (2 x 50,)
-    [m]."""
+    """A way, where the robot places all of it (3,) [m, rad], the laid length up to which it is
+    judged [m], the errors (2 x 50,) that are expected of it [m], and their derivatives (2 x 50, n)
+    by what is believed [m/deviation]."""
 
     way: Way
     placed: np.ndarray
-    last: float
-    aside: np.ndarray
+    reach: float
+    error: np.ndarray
+    doubts: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class Moment:
         beliefs = self.beliefs
         beliefs.placed -= [*beliefs.offset, beliefs.yaw]
         _, _, old, new = yield from self._corrected(self.way, beliefs.hold, anew=True)
-        kept = new is not old and not (yield from self._better(new, old))
+        kept = new is not old and not self._better(new, old)
         chosen = old if kept else new
         return chosen.way, chosen.placed, kept
 
@@ -84,7 +86,7 @@ class Moment:
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         at = self.way.laid_at(self.gone)
         before, after, old, new = yield from self._corrected(self.way, self.gone)
-        kept = new is not old and not (yield from self._better(new, old))
+        kept = new is not old and not self._better(new, old)
         now, after = (old, before) if kept else (new, after)
         s = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
         lately = (s > at - _LOOKED_AT) & (s <= at)
@@ -94,24 +96,21 @@ class Moment:
         back, turn = self.way.back(self.gone, max(begins, beliefs.hold + _BEFORE))
         _, better, _, anew = yield from self._corrected(back, turn)
         gains = (after - better)[s <= at].sum() > _GAIN * METRIC_POINTS
-        if not gains or not (yield from self._better(anew, now, at)):
+        if not gains or not self._better(anew, now, at):
             return now.way, self.gone, None, kept
         return anew.way, turn, anew.way.laid_at(turn), False
 
-    def _better(self, new: _Candidate, old: _Candidate, reach: float = np.inf) -> Course[bool]:
+    def _better(self, new: _Candidate, old: _Candidate, reach: float = np.inf) -> bool:
         """Whether one lays rods and tables that are as likely as those believed in better than the
         other, on average, as far as both lay them, up to `reach` at most [m]."""
-        pattern, rng = self.beliefs.pattern, np.random.default_rng(round(1e6 * self.gone))
+        drawn, pattern = self.beliefs.drawn(_PAIRS), self.beliefs.pattern
         s = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
-        ways = [(one.way.until(one.last), one.placed) for one in (new, old)]
-        there = s <= min(reach, *(float(way.laid[-1]) for way, _ in ways))
-        error = np.zeros(2)
-        for beliefs in self.beliefs.drawn(_PAIRS, rng):
-            both = yield beliefs.asked([(way.path, placed) for way, placed in ways])
-            for k, (laid, one) in enumerate(zip(both, (new, old), strict=True)):
-                off = (misplacement(pattern, laid)[0] + one.aside).reshape(2, -1)
-                error[k] += np.inf if laid.diverged else np.hypot(*off)[there].sum()
-        return bool(error[0] < error[1])
+        there = s <= min(reach, new.reach, old.reach)
+        errors = []
+        for one in (new, old):
+            off = one.error + drawn @ one.doubts.T
+            errors.append(np.hypot(*off.reshape(len(drawn), 2, -1).swapaxes(0, 1))[:, there].mean())
+        return bool(errors[0] < errors[1])
 
     def _corrected(
         self, way: Way, turn: float, anew: bool = False
@@ -143,12 +142,14 @@ class Moment:
 
         def at(values: np.ndarray) -> Course[_Point]:
             ahead, placed = moved(values)
-            laid = yield from beliefs.lay(ahead.until(last).path, columns, placed)
+            path = ahead.until(last).path
+            laid = yield from beliefs.felt(path, columns, placed)
             error, rates = misplacement(pattern, laid)
+            doubts, rates = np.split(rates, [-len(columns)], axis=1)
             rates = np.column_stack([rates, rigid * _rigid_rates(pattern, error)[:, : len(rigid)]])
             lost = laid.diverged or not np.isfinite(rates).all()
             error = (error + beyond) * there + (np.inf if lost else 0.0)
-            return _Point(values, error, rates * there[:, None], cost)
+            return _Point(values, error, rates * there[:, None], doubts, cost)
 
         first = now = yield from at(np.zeros(len(cost)))
         radius = _STEP
@@ -168,9 +169,10 @@ class Moment:
             elif length > 0.9 * radius:
                 radius *= _LONGER
         lost, left = (np.hypot(*one.error.reshape(2, -1)) for one in (first, now))
-        old = new = _Candidate(way, beliefs.placed, last, beyond)
+        reach = float(near[-1])
+        old = new = _Candidate(way, beliefs.placed, reach, first.error, first.doubts)
         if now is not first:
-            new = _Candidate(*moved(now.values), last, beyond)
+            new = _Candidate(*moved(now.values), reach, now.error, now.doubts)
         return lost, left, old, new
 
 
@@ -187,11 +189,13 @@ def _rigid_rates(pattern: Pattern, error: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class _Point:
     """Corrections `values` (n,) [L_gb], errors (m,) that are expected of them [m], the derivatives
-    (m, n) of these, and the matrix (n, n) of what the corrections cost, as squared errors."""
+    (m, n) of these, and (m, k) by what is believed, and the matrix (n, n) of what the corrections
+    cost, as squared errors."""
 
     values: np.ndarray
     error: np.ndarray
     rates: np.ndarray
+    doubts: np.ndarray
     cost: np.ndarray
 
     @property
