@@ -9,10 +9,11 @@ import pytest
 from cli import done
 
 import wrod
-from wrod.deployment import together
+from wrod.deployment import descent, together
 from wrod.deployment.corrections import Corrections, pace_of
+from wrod.deployment.descent import State, Task, descend
 from wrod.deployment.expectation import Unseen, balanced, expect, is_better, robot_error
-from wrod.deployment.optimise import Task, _descend, _fastest, _State, course, optimise
+from wrod.deployment.optimise import _fastest, best_of, course, optimise
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
@@ -260,11 +261,12 @@ def _descended(share: float, lgb: float, ahead: bool = True):
 
         def at(self, x):
             value = 6.0 - share * (6.0 - 0.5 * float(np.sum((x - 2.0) ** 2)))
-            return _State(x, np.array([value]), value, value, np.eye(3), x - 2.0)
+            return State(x, np.array([value]), value, value, np.eye(3), x - 2.0)
             yield
 
-    with pytest.raises(StopIteration) as ended:
-        next(_descend(Far(), ahead))
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(StopIteration) as ended:
+        patch.setattr(descent, "_FAR", np.inf)
+        next(descend(Far(), ahead))
     states, last = ended.value.value
     return [float(x[0]) for x in (*(one.values for one in states), *last)]
 
@@ -281,6 +283,51 @@ def test_steps_go_on_only_where_they_save_much_and_much_is_left():
     # Each saves less than a fifth: the second is laid, and one more is the last.
     np.testing.assert_allclose(_descended(0.3, 1.0), [0.0, 0.35, 0.7, 1.05])
     np.testing.assert_allclose(_descended(0.3, 1.0, ahead=False), [0.0, 0.35, 0.7])
+
+
+def test_from_far_off_bends_are_corrected_one_after_the_other():
+    """An arm of three links of 3 L_gb, each of which is to turn by 1.5 rad: what one does wrong
+    moves all that follow."""
+    asked = []
+
+    class Arm:
+        cost, task = 1e-9 * np.eye(3), SimpleNamespace(pattern=SimpleNamespace(length=9.0))
+        corrections = SimpleNamespace(count=1, lgb=1.0)
+
+        def at(self, x, end=np.inf):
+            asked.append(end)
+            counts = (3.0 * np.arange(1, 4) <= end + 1e-9).repeat(2)
+
+            def joints(turns):
+                angle = np.cumsum(turns)
+                return np.cumsum(np.column_stack([np.cos(angle), np.sin(angle)]), axis=0).ravel()
+
+            error = counts * (joints(x) - joints(np.full(3, 1.5)))
+            nudges = 1e-6 * np.eye(3)
+            rates = counts[:, None] * np.array([joints(x + d) - joints(x - d) for d in nudges]).T
+            rates /= 2e-6
+            size = np.hypot(*error.reshape(-1, 2).T).sum() / counts[::2].sum()
+            matrix, slope = rates.T @ rates + self.cost, rates.T @ error
+            value = 0.5 * float(error @ error)
+            return State(x, np.array([size]), size, value, matrix, slope)
+            yield
+
+    with pytest.raises(StopIteration) as ended:
+        next(descend(Arm(), False))
+    states, _ = ended.value.value
+    assert states[0].measure > 1.0 and states[-1].measure < 0.05 * states[0].measure
+    finite = [end for end in asked if np.isfinite(end)]
+    assert finite == sorted(finite) and set(finite) == {3.0, 6.0}
+    assert np.isinf(asked[0])
+
+
+def test_of_plans_with_several_remainders_that_is_taken_by_which_unseen_rods_lie_best(bend):
+    def at(error, diverged=0):
+        expected = {"error_robot": [error] * 3, "beside": [[0.0] * 4] * 3, "diverged": diverged}
+        return replace(bend[1], metadata={**bend[1].metadata, "expected": expected})
+
+    good, worse, lost = at(1.0), at(2.0), at(0.5, diverged=1)
+    assert best_of([worse, good, lost]) is good and best_of([lost]) is lost
 
 
 def test_the_fastest_pace_is_taken_that_does_no_harm(bend):

@@ -14,7 +14,7 @@ from wrod.errors import (
     StabilityWarning,
     WrodWarning,
 )
-from wrod.planning.remainder import free_end, prepare
+from wrod.planning.remainder import free_end, lead_ins, prepare
 from wrod.planning.roll import held_twist
 from wrod.planning.trajectory import Trajectory
 
@@ -142,6 +142,16 @@ def test_a_beginning_that_bends_soon_gets_a_remainder_too():
     assert prepare(soon, ROD, None).remainder_length > 0.05
     assert free_end(late, ROD)[0] < 0.05
     assert prepare(late, ROD, None).remainder_length == 0.0
+
+
+def test_where_a_shorter_remainder_may_do_too_both_are_known():
+    small = wrod.pattern("circle").scaled(0.53)
+    held, gentle = lead_ins(small, ROD)
+    assert held.remainder_length == prepare(small, ROD, None).remainder_length
+    assert 0.05 < gentle.remainder_length < 0.9 * held.remainder_length
+    assert lead_ins(held, ROD) == [held]
+    (straight,) = lead_ins(wrod.pattern("letter-U"), ROD)
+    assert straight.remainder_length == 0.0
 
 
 def test_default_remainder_asks_for_little_friction_or_is_held_or_turns_little():

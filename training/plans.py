@@ -16,9 +16,10 @@ from wrod.training.plan_files import Bowl, Sample, claim, read, store
 from wrod.controller.corrector import Corrector
 from wrod.controller.corrector import Course as Asked
 from wrod.deployment.corrections import Corrections
+from wrod.deployment.descent import Task, sample_of
 from wrod.deployment.distilled import asked
 from wrod.deployment.expectation import misplacement
-from wrod.deployment.optimise import Task, course, sample_of
+from wrod.deployment.optimise import course
 from wrod.deployment.plan import plan
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.spread import Spread

@@ -255,7 +255,8 @@ def _led(rod_name: str, name: str, patterns: Path | None):
 
 def _planning(shelf: Shelf, rod_name: str, name: str, friction: float, method: str):
     """What is laid to optimise a plan, and the plan."""
-    from wrod.deployment.optimise import Task, course
+    from wrod.deployment.descent import Task
+    from wrod.deployment.optimise import course
     from wrod.deployment.plan import plan
     from wrod.deployment.spread import Spread
 

@@ -191,7 +191,8 @@ def _corrected_plans(plans: dict, substrates, folder: Path, device: str, workers
 
 def _course(path: Path, *what):
     """What is laid to correct a plan, which is kept in `path`."""
-    from wrod.deployment.optimise import Task, course
+    from wrod.deployment.descent import Task
+    from wrod.deployment.optimise import course
 
     return course(Task(*what))
 

@@ -117,10 +117,10 @@ class _GraspRequest:
         """Of the table, if one is known."""
         return None if self.friction_text is None else read_friction(self.friction_text)
 
-    def begin(self, curve, rod, friction, device: str | None) -> None:
+    def begin(self, curve, rod, friction, device: str | None, count: int) -> None:
         """Begin to compile what the rod solver needs, while the rest is planned, and say how long
         it takes to correct the plan for its table: of a range of paces three are tried, and rods
-        that may roll take longer, as do long patterns and long rods."""
+        that may roll take longer, as do long patterns and long rods, and `count` remainders."""
         from wrod.grasps.levels import compile_grasps_ahead
         from wrod.rods.device import resolve_device
 
@@ -128,7 +128,7 @@ class _GraspRequest:
             compile_grasps_ahead(resolve_device(device))
         if friction is None or self.method in ("distilled", "intuitive"):  # corrected at once
             return
-        plans = (3 if ":" in (self.pace or "") else 1) * (2 if self.spin else 1)
+        plans = count * (3 if ":" in (self.pace or "") else 1) * (2 if self.spin else 1)
         laid = curve.length + curve.remainder_length
         size = laid * rod.length / (_CORRECTED[0] * _CORRECTED[1])
         work = cost.Cost(cost.CORRECTED_PLAN * plans * size)
@@ -174,7 +174,8 @@ def command(
     Corners are rounded to what the rod can lie in. What is finished is kept: without a joint path
     the trajectory and its picture are written all the same, and the exit code is 3.
     """
-    from wrod.planning.remainder import prepare
+    from wrod.deployment.simulate import with_remainder_of
+    from wrod.planning.remainder import lead_ins, prepare
     from wrod.planning.roll import read_roll
 
     how, chosen = grasps.read(), None if device == "auto" else device
@@ -197,14 +198,14 @@ def command(
                 said = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
                 raise PatternError(f"{error}; {said}") from None
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
-        grasps.begin(curve, fitted.rod, friction, chosen)
-        # The curve has the remainder that it is to have; `plan` would add one to a curve without.
+        count = len(lead_ins(fitted.pattern, fitted.rod)) if remainder is None else 1
+        grasps.begin(curve, fitted.rod, friction, chosen, count)
         turned = how["spin"] if spin is None else math.radians(spin)
         trajectory = solve_grasps_of(
-            curve, fitted.rod, roll=read_roll(grasps.roll_text, fitted.rod),
-            device=chosen, friction=friction, **{**how, "remainder": False, "spin": turned},
+            fitted.pattern, fitted.rod, roll=read_roll(grasps.roll_text, fitted.rod),
+            device=chosen, friction=friction, **{**how, "remainder": remainder, "spin": turned},
         )  # fmt: skip
-        return fitted, curve, trajectory
+        return fitted, with_remainder_of(fitted.pattern, trajectory), trajectory
 
     how["pace"] = within_speed(request, how["pace"], lambda: planned(shaping))
     fitted, curve, trajectory = planned(shaping, friction)
@@ -218,7 +219,7 @@ def command(
                 save_trajectory(out, trajectory)
 
         def softer(how):
-            start = planned(shaping)[2]
+            start = planned(shaping, led=curve.remainder_length or False)[2]
             return softened(curve, fitted.rod, trajectory, start, how, friction, chosen)
 
         if not request.no_robot:

@@ -18,6 +18,7 @@ def solve_grasps_of(
 ):
     """The trajectory, with the rod's shapes where they are wanted."""
     from wrod.deployment.plan import plan
+    from wrod.deployment.simulate import with_remainder_of
     from wrod.planning.shapes import with_shapes
 
     with cost.progress_bar(unit="grasp", delay=1.0, desc="grasps") as bar:
@@ -29,6 +30,7 @@ def solve_grasps_of(
         )  # fmt: skip
         if shapes:
             bar.n = 0
+            curve = with_remainder_of(curve, trajectory)
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
     return trajectory
 

@@ -108,14 +108,16 @@ def _expectation(expected: dict, optimised: dict | None) -> list[str]:
     if expected["slides"]:
         places = ", ".join(f"{a:.3f} to {b:.3f}" for a, b in expected["slides"])
         lines.append(f"slides by more than 1 mm while it is laid at s = {places} m")
-    for start, stop, least in expected["off"]:
+    beyond = (optimised or {}).get("rougher") or [None] * len(expected["off"])
+    for (start, stop, least), needed in zip(expected["off"], beyond, strict=True):
+        if least is not None:
+            until = f" below friction {least:.2f}"
+        elif needed is not None:
+            until = f", and can be laid from friction {needed:.2g} on"
+        else:
+            until = ", up to the largest friction asked for"
         lines.append(
-            f"lies off the pattern by more than 5 mm at s = {start:.3f} to {stop:.3f} m"
-            + (
-                f" below friction {least:.2f}"
-                if least is not None
-                else ", up to the largest friction asked for"
-            )
+            f"lies off the pattern by more than 5 mm at s = {start:.3f} to {stop:.3f} m{until}"
         )
     return lines
 

@@ -97,5 +97,6 @@ def with_share(start: Trajectory, corrected: Trajectory, share: float) -> Trajec
     """The trajectory that `corrected` began as, with that share of its corrections."""
     out = moved(start, share * (corrected.position - start.position))
     said = dict(corrected.optimised)
+    said.pop("rougher", None)  # was of all of them
     said |= {"share": share, "largest_correction": share * said["largest_correction"]}
     return replace(out, metadata={**corrected.metadata, "optimised": said})

@@ -39,6 +39,9 @@ UNMEASURED, _FORESEEN = (0.2, 0.6), 4
 _FIRST_SEED = 77_000
 # What counts as slid, and as not on the pattern [m].
 _SLID, _OFF = 1e-3, 5e-3
+# Frictions that are tried, in parts of the largest that was asked for, where a plan cannot be laid
+# up to that, and the largest of a table.
+_ROUGHER, _ROUGHEST = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0), 2.0
 # Standard errors by which a plan has to be better than another to be preferred to it.
 _SURE = 1.0
 
@@ -110,6 +113,42 @@ def expecting(
     how = {"discretisation": edged(mesh, edge * rod.gravito_bending_length), "speed": pace}
     laid = yield Asked([one for t in trajectories for one in unseen.laid_by(t)], None, how)
     return [unseen.told(laid[first : first + trials]) for first in range(0, len(laid), trials)]
+
+
+def rougher(
+    pattern: Pattern,
+    rod: RodModel | RodMaterial,
+    trajectories: list[Trajectory],
+    expected: dict,
+    pace: float = PACE,
+) -> Course[list[float | None]]:
+    """For each stretch of what `expect` says is "off", the least of a few larger frictions from
+    which on the undisturbed rod stays within 5 mm there by one of these trajectories; None: none
+    up to 2, or the stretch holds from a friction that was asked for."""
+    lost = [least is None for *_, least in expected["off"]]
+    mus = expected["friction"][-1] * np.array(_ROUGHER)
+    mus = mus[mus <= _ROUGHEST]
+    if not (any(lost) and len(mus)):
+        return [None] * len(lost)
+    trials = [
+        Trial(pattern, rod, path, Friction(mu), tail=Tail.none(path))
+        for path in trajectories
+        for mu in mus.tolist()
+    ]
+    mesh = edged(COARSE, COARSE_EDGE * rod.gravito_bending_length)
+    how = {"discretisation": mesh, "speed": pace}
+    laid = yield Asked(trials, None, how)
+    error = np.array([np.hypot(*misplacement(pattern, one)[0].reshape(2, -1)) for one in laid])
+    error[[one.diverged for one in laid]] = np.inf
+    error = error.reshape(len(trajectories), len(mus), -1)
+    s = np.linspace(0.0, pattern.length, METRIC_POINTS)
+    out: list[float | None] = []
+    for (start, stop, _), asked in zip(expected["off"], lost, strict=True):
+        inside = (s >= start) & (s <= stop)
+        bad = (error[..., inside] > _OFF).any(axis=2).all(axis=0)
+        first = int(np.flatnonzero(bad)[-1]) + 1 if bad.any() else 0
+        out.append(float(mus[first]) if asked and first < len(mus) else None)
+    return out
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from wrod import arguments
 from wrod.errors import GraspError, PatternError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.plan import plan_grasps
-from wrod.planning.remainder import prepare
+from wrod.planning.remainder import lead_ins, prepare
 from wrod.planning.sources import SOURCES
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
@@ -75,7 +75,8 @@ def plan(
         spacing: largest distance between the contact nodes [m].
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the free
             end is expected to spring off by more than 0.15 L_gb on a table of friction 0.3
-            (`free_end`), True, False, or its length [m].
+            (`free_end`), True, False, or its length [m]. None with `friction`: where two lengths
+            may do, that with which the corrected plan is expected to lie better.
         roll: how the rod is put into the grip: the laid rod's first material director is turned
             by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
             into the table's plane to the side to which the pattern turns in all, or upwards. In
@@ -119,7 +120,10 @@ def plan(
     )  # fmt: skip
     if friction is None and not expect:
         return plan_grasps(pattern, rod, method, remainder=remainder, **how)
-    return _for_a_table(prepare(pattern, rod, remainder), rod, method, friction, pace, expect, how)
+    led = [prepare(pattern, rod, remainder)]
+    if remainder is None and friction is not None and method != DISTILLED:
+        led = lead_ins(pattern, rod)
+    return _for_a_table(led, rod, method, friction, pace, expect, how)
 
 
 def _check_method(method: str, friction, pace) -> None:
@@ -139,37 +143,43 @@ def _check_method(method: str, friction, pace) -> None:
 
 
 def _for_a_table(
-    led: Pattern, rod, method: str, friction, pace, expect: bool, how: dict[str, Any]
+    led: list[Pattern], rod, method: str, friction, pace, expect: bool, how: dict[str, Any]
 ) -> Trajectory:
-    """The plan that `how` asks for, corrected for a table of such a friction, and what is expected
-    of it where that is asked for."""
+    """The plan that `how` asks for, corrected for a table of such a friction, of the pattern with
+    the best of its remainders, and what is expected of it where that is asked for."""
     from wrod.deployment.rivals import own_or_straight
 
     if friction is None:
-        trajectory = own_or_straight(led, rod, method, None, how)
+        trajectory = own_or_straight(led[0], rod, method, None, how)
     else:
         trajectory = _corrected(led, rod, method, friction, pace, how)
     if expect and "expected" not in trajectory.metadata:
         from wrod.deployment.expectation import foresee
 
-        expected = foresee(led, rod, trajectory, friction, device=how["device"])
+        expected = foresee(led[0], rod, trajectory, friction, device=how["device"])
         trajectory.metadata["expected"] = expected
     return trajectory
 
 
-def _corrected(led: Pattern, rod, method: str, friction, pace, how: dict[str, Any]) -> Trajectory:
+def _corrected(
+    led: list[Pattern], rod, method: str, friction, pace, how: dict[str, Any]
+) -> Trajectory:
     """The plan that `how` asks for, corrected for a table of such a friction."""
-    from wrod.deployment.optimise import optimise
+    from wrod.deployment.optimise import optimise_rivals
     from wrod.deployment.rivals import as_is_or_twisted, own_or_straight
     from wrod.deployment.spread import Spread
 
     spread = Spread.of(friction)
     base = "auto" if method == DISTILLED else method
-    start = own_or_straight(led, rod, base, spread.friction, how)
-    start = as_is_or_twisted(led, rod, start, spread.friction, how)
+    starts = [own_or_straight(one, rod, base, spread.friction, how) for one in led]
+    starts = [
+        as_is_or_twisted(one, rod, start, spread.friction, how)
+        for one, start in zip(led, starts, strict=True)
+    ]
     if method == DISTILLED:
         from wrod.deployment.distilled import distilled
 
-        return distilled(led, rod, start, float(np.mean(spread.friction)))
+        return distilled(led[0], rod, starts[0], float(np.mean(spread.friction)))
     asked = {} if pace is None else {"pace": pace}
-    return optimise(led, rod, start, spread, device=how["device"], **asked)
+    rivals = list(zip(led, starts, strict=True))
+    return optimise_rivals(rivals, rod, spread, device=how["device"], **asked)

@@ -19,6 +19,8 @@ _REMAINDER_FRICTION = 0.25
 # ... but turns by no more than this [rad], which binds for stiff rods, unless that is too short for
 # the friction to hold it, and one that is not turns by no more than the second.
 _REMAINDER_TURN, _HELD_TURN = 0.8, 1.7
+# A gentle one shorter than this part of one by which the bends hold is another.
+_ANOTHER = 0.9
 
 
 def prepare(
@@ -33,22 +35,39 @@ def prepare(
     _refuse_long(pattern, rod, spare)
     if remainder is False or pattern.remainder_length > 0.0:
         return pattern
-    off, start = free_end(pattern, rod)
     if remainder is None:
-        if off < _SPRINGS_OFF * (1.0 - 1e-3):
-            return pattern
-        # A shorter remainder asks for more friction, which the metadata says; one much shorter
-        # than a gentle one asks for more than it saves.
-        wanted, room = _remainder_length(pattern, start, rod), spare - pattern.length
-        enough = room > 0.5 * _gentle_length(start, rod)
-        return pattern.with_remainder(min(wanted, room)) if enough else pattern
+        return lead_ins(pattern, rod)[0]
     if remainder is True:
+        _, start = free_end(pattern, rod)
         if start == 0.0:
             return pattern
         remainder = _remainder_length(pattern, start, rod)
     led = pattern.with_remainder(float(remainder))
     _refuse_long(led, rod, spare)
     return led
+
+
+def lead_ins(pattern: Pattern, rod: RodModel | RodMaterial) -> list[Pattern]:
+    """The pattern with the remainder that it has by default, none where its beginning stays, and
+    with a shorter one by which it may lie better for all that the first holds.
+
+    Args:
+        pattern: with room for itself, see `prepare`.
+        rod: what is laid.
+    """
+    off, start = free_end(pattern, rod)
+    if pattern.remainder_length > 0.0 or off < _SPRINGS_OFF * (1.0 - 1e-3):
+        return [pattern]
+    # A shorter remainder asks for more friction, which the metadata says; one much shorter than a
+    # gentle one asks for more than it saves.
+    gentle = _gentle_length(start, rod)
+    room = rod.length - MIN_SUSPENDED_LENGTH * rod.gravito_bending_length - pattern.length
+    if room <= 0.5 * gentle:
+        return [pattern]
+    lengths = [min(_remainder_length(pattern, start, rod), room)]
+    if gentle < _ANOTHER * lengths[0]:
+        lengths.append(gentle)
+    return [pattern.with_remainder(length) for length in lengths]
 
 
 def free_end(pattern: Pattern, rod: RodModel | RodMaterial) -> tuple[float, float]:

@@ -1,0 +1,301 @@
+"""The descent of an optimised plan: what corrections of a grip's path come to, and steps between
+them; see `wrod.deployment.optimise`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import brentq
+
+from wrod.deployment.corrections import Corrections
+from wrod.deployment.discretisation import Discretisation
+from wrod.deployment.expectation import (
+    COARSE,
+    COARSE_EDGE,
+    JUDGING,
+    JUDGING_EDGE,
+    PACE,
+    Unseen,
+    balanced,
+    edged,
+    misplacement,
+)
+from wrod.deployment.result import METRIC_POINTS
+from wrod.deployment.simulate import Trial, nodes_needed
+from wrod.deployment.spread import Spread
+from wrod.deployment.tangents import Directions, Laid
+from wrod.deployment.together import Asked, Course
+from wrod.deployment.way import Way
+from wrod.patterns.pattern import Pattern
+from wrod.planning.tail import Tail
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+
+# Cost of a correction of 1 L_gb along the whole path, and of its second differences, over that of
+# an error of 1 L_gb.
+_SIZE, _ROUGHNESS = 6e-3, 2e-2
+# Cost of an arm beyond its limits by all of one of them, at one pose.
+_LIMIT = 1e2
+# Largest change of a correction in one iteration [L_gb], what is left of it after a change for the
+# worse, and where that ends; what it grows by after one that was cut to it and saved more than this
+# part of what its model promised.
+_STEP, _SHORTER, _SHORTEST = 0.35, 0.4, 0.01
+_LONGER, _KEPT_PROMISE = 2.0, 0.5
+# Steps of a plan at least, and at most: further ones where the last but one saved this part of the
+# error. A step from so near [L_gb] is not laid by itself: what more steps save from there on, on
+# fine meshes too, unseen rods do not feel.
+_STEPS, _MORE, _SAVED, _NEAR = 2, 6, 0.2, 0.1
+# Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
+_TOLERANCE = 5e-3
+# Numbers of nodes are multiples of this, so that a GPU lays many plans in few batches.
+_ALIKE = 16
+# An iteration that leaves more than this part of the error is the last, and one that would by its
+# model, of squares, is not tried.
+_DONE = 0.95
+# An error of more than this to begin with [L_gb] is far. Then each time so much more of the pattern
+# counts [L_gb], fading out over the second length, for so many steps at most, and rods are laid so
+# far beyond: an early bend that springs off moves all that comes after it, which says nothing of
+# later ones. Corrections may be large, and cost this part of what they cost otherwise.
+_FAR, _STRETCH, _FADE, _EACH, _BEYOND, _CHEAP = 0.3, 3.0, 0.5, 4, 2.0, 0.1
+
+
+@dataclass(frozen=True)
+class Task:
+    """A plan that is to know its table; see `optimise`."""
+
+    pattern: Pattern
+    rod: RodModel | RodMaterial
+    trajectory: Trajectory
+    friction: float | tuple[float, float] | Spread
+    limits: Limits | None = None
+    pace: float = PACE
+
+
+class Limits(Protocol):
+    """What the arm that is to follow a trajectory can do."""
+
+    def excess(self, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far displacements (T, 3) [m] of its poses take the arm beyond its limits, in parts of
+        these (m,), and the derivatives (m, T, 3) of that [1/m]; nothing where they do not."""
+        ...
+
+
+def expected_error(told: dict) -> float:
+    """Of what `expect` says, misplacement aside [m]."""
+    return balanced(np.array(told["error_robot"]), np.array(told["beside"]))[0]
+
+
+@dataclass(frozen=True)
+class State:
+    """What corrections `values` come to: mean errors (rod,) [m], their measure, and the value, the
+    matrix and the slope of a quadratic model of their squares and of what the corrections cost."""
+
+    values: np.ndarray
+    errors: np.ndarray
+    measure: float
+    value: float
+    matrix: np.ndarray
+    slope: np.ndarray
+
+    def step(self, radius: float) -> tuple[np.ndarray, bool]:
+        """The change by which the model's value gets least, and whether it was damped until none of
+        it was larger than `radius`: cut, it would lose what is well determined with what is not."""
+        stiff, modes = np.linalg.eigh(self.matrix)
+
+        def damped(damping: float) -> np.ndarray:
+            return -modes @ (modes.T @ self.slope / (stiff + damping))
+
+        if not np.abs(damped(0.0)).max() > radius:
+            return damped(0.0), False
+        most = np.log(stiff[-1] + np.abs(self.slope).sum() / radius)
+        root = brentq(lambda log: np.abs(damped(np.exp(log))).max() - radius, -50.0, most)
+        return damped(np.exp(root)), True
+
+    def saved(self, step: np.ndarray) -> float:
+        """By the model, the share of the value that a step saves."""
+        return float(-(self.slope + 0.5 * self.matrix @ step) @ step / max(self.value, 1e-300))
+
+
+@dataclass(frozen=True)
+class Tried:
+    """Corrections `values`, the mean error of the sample that is laid by them [m], what they are
+    ordered by, least first, and what is expected of them."""
+
+    values: np.ndarray
+    error: float
+    order: tuple[int, float]
+    expected: dict | None = None
+
+
+class Problem:
+    """The squared errors of a sample of rods, and what corrections cost, near some corrections.
+
+    With `alone` its meshes are its own, and a plan does not depend on which others are made with
+    it; without, more plans fit into a batch.
+    """
+
+    def __init__(
+        self, task: Task, corrections: Corrections, spread: Spread, samples: int, alone: bool
+    ):
+        self.task, self.corrections, self.alone = task, corrections, alone
+        self.spread, self.samples = spread, samples
+        self.cost = corrections.cost(_SIZE, _ROUGHNESS)
+        self.count = 0
+
+    def at(self, values: np.ndarray, end: float = np.inf) -> Course[State]:
+        """What corrections come to on coarse meshes, of the pattern up to `end` [m]."""
+        asked = self._sample(values, end)
+        mesh = asked.how["discretisation"]
+        laid = yield self._meshed(asked.trials, asked.directions, mesh)
+        self.count += 1
+        return self._state(values, laid, end)
+
+    def _state(self, values: np.ndarray, laid: list[Laid], end: float) -> State:
+        task, corrections = self.task, self.corrections
+        parts = [misplacement(task.pattern, one) for one in laid]
+        s = np.linspace(0.0, task.pattern.length, METRIC_POINTS)
+        counts = np.clip((end - s) / (_FADE * corrections.lgb) + 1.0, 0.0, 1.0)
+        errors = np.array(
+            [np.average(np.hypot(*e.reshape(2, -1)), weights=counts) for e, _ in parts]
+        )
+        errors[[one.diverged for one in laid]] = np.inf
+        matrix, slope = self.cost.copy(), self.cost @ values
+        value = 0.5 * float(values @ slope)
+        measure = 0.5 * float(errors.mean() + errors.max())
+        if np.isfinite(errors).all():
+            weights = 0.5 + 0.5 * errors / max(errors.mean(), 1e-12)
+            for (error, rates), weight in zip(parts, weights, strict=True):
+                scale = weight / (len(parts) * METRIC_POINTS * corrections.lgb**2)
+                scaled = scale * np.tile(counts, 2) * rates.T
+                matrix += scaled @ rates
+                slope += scaled @ error
+                value += 0.5 * scale * float(np.tile(counts, 2) @ error**2)
+        if not (np.isfinite(matrix).all() and np.isfinite(slope).all()):
+            # Derivatives that ran away say nothing: no step is made from here.
+            matrix, slope = self.cost.copy(), np.zeros_like(values)
+        if task.limits is not None:
+            excess, rates = task.limits.excess(corrections.displacement(values))
+            rates = np.einsum("mtd,ctd->mc", rates, corrections.columns()[..., :3])
+            matrix += _LIMIT * rates.T @ rates
+            slope += _LIMIT * rates.T @ excess
+            value += 0.5 * _LIMIT * float(excess @ excess)
+            measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
+        return State(values, errors, measure, value, matrix, slope)
+
+    def judged(self, points: list[np.ndarray]) -> Course[list[Tried]]:
+        """What unseen rods say of corrections, and what the sample does on fine meshes; all are
+        laid together, which costs a GPU no more than one of them."""
+        task, corrections = self.task, self.corrections
+        unseen = Unseen.of(task.pattern, task.rod, self.spread)
+        each = [self._sample(x).trials + unseen.laid_by(corrections.apply(x)) for x in points]
+        mesh = edged(JUDGING, JUDGING_EDGE * corrections.lgb)
+        laid = yield self._meshed([trial for one in each for trial in one], None, mesh)
+        out = []
+        for x in points:
+            own, rest = laid[: self.samples], laid[self.samples : len(each[0])]
+            laid = laid[len(each[0]) :]
+            errors = [np.hypot(*misplacement(task.pattern, o)[0].reshape(2, -1)) for o in own]
+            told = unseen.told(rest)
+            measure = expected_error(told)
+            if task.limits is not None:
+                excess, _ = task.limits.excess(corrections.displacement(x))
+                measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
+            out.append(Tried(x, float(np.mean(errors)), (told["diverged"], measure), told))
+        return out
+
+    def _meshed(self, trials: list[Trial], directions, mesh: Discretisation) -> Asked:
+        mesh = replace(mesh, tolerance=_TOLERANCE)
+        if self.alone:
+            count = -(-nodes_needed(trials, mesh.spacing) // _ALIKE) * _ALIKE
+            mesh = replace(mesh, node_count=count)
+        return Asked(trials, directions, {"discretisation": mesh, "speed": self.task.pace})
+
+    def _sample(self, values: np.ndarray, end: float = np.inf) -> Asked:
+        end += _BEYOND * self.corrections.lgb
+        return sample_of(self.task, self.corrections, self.spread, values, self.samples, end)
+
+
+def sample_of(
+    task: Task,
+    corrections: Corrections,
+    spread: Spread,
+    values: np.ndarray,
+    samples: int,
+    end: float = np.inf,
+) -> Asked:
+    """The rods that cover a spread, laid on coarse meshes by a corrected path, up to `end` of the
+    pattern [m], with their derivatives by each of the corrections' values (3 count,) [L_gb]."""
+    now = corrections.apply(values)
+    now = Way(now).until(end + now.remainder_length).path
+    rest = Tail.none(now)  # nothing is asked of what comes after the pattern
+    trials = [
+        Trial(task.pattern, held, now, law, told, rest)
+        for held, law, told in spread.sample(samples, task.rod)
+    ]
+    mesh = edged(COARSE, COARSE_EDGE * task.rod.gravito_bending_length)
+    how = {"discretisation": mesh, "speed": PACE}
+    columns = corrections.columns()[:, : len(now)]
+    return Asked(trials, [Directions.of_path(columns)] * samples, how)
+
+
+def descend(problem: Problem, ahead: bool) -> Course[tuple[list[State], list[np.ndarray]]]:
+    """Corrections from none on, each better than the last or tried in vain; with `ahead` the last
+    of them is not laid but comes beside the others."""
+    best = yield from problem.at(np.zeros(3 * problem.corrections.count))
+    states, radius, last = [best], _STEP, False
+    if best.measure > _FAR * problem.corrections.lgb:
+        states.append((yield from _bend_by_bend(problem)))
+        best = min(states, key=lambda one: one.measure)
+    for k in range(1, _MORE + 1):
+        step, damped = best.step(radius)
+        saved = best.saved(step)
+        if saved < 1.0 - _DONE**2:
+            break
+        near = best.measure < _NEAR * problem.corrections.lgb
+        last |= k == _MORE or (k >= _STEPS and near)
+        if ahead and last:
+            return states, [best.values + step]
+        tried = yield from problem.at(best.values + step)
+        states.append(tried)
+        last |= k >= _STEPS and tried.measure > (1.0 - _SAVED) * best.measure
+        idle = _DONE * best.measure < tried.measure < best.measure
+        best, radius = _better(best, tried, step, radius, damped)
+        if idle or (last and not ahead) or not radius > _SHORTEST:
+            break
+    return states, []
+
+
+def _bend_by_bend(problem: Problem) -> Course[State]:
+    """Corrections that are found for the beginning of the pattern first, and then for more and more
+    of it, from no corrections on."""
+    problem.cost = _CHEAP * problem.cost
+    length, values = problem.task.pattern.length, np.zeros(3 * problem.corrections.count)
+    count = int(np.ceil(length / (_STRETCH * problem.corrections.lgb)))
+    for end in [*(length / count * np.arange(1, count)), np.inf]:
+        best, radius = (yield from problem.at(values, end)), _STEP
+        for _ in range(_EACH):
+            step, damped = best.step(radius)
+            near = best.measure < _NEAR * problem.corrections.lgb
+            if near or best.saved(step) < 1.0 - _DONE**2:
+                break
+            tried = yield from problem.at(best.values + step, end)
+            idle = _DONE * best.measure < tried.measure < best.measure
+            best, radius = _better(best, tried, step, radius, damped)
+            if idle:
+                break
+        values = best.values
+    return best
+
+
+def _better(
+    best: State, tried: State, step: np.ndarray, radius: float, damped: bool
+) -> tuple[State, float]:
+    """The better of two, of which the second is a step away, and the largest change of the next
+    step."""
+    if not tried.measure < best.measure:
+        return best, _SHORTER * min(radius, float(np.abs(step).max()))
+    kept = best.value - tried.value > _KEPT_PROMISE * best.saved(step) * best.value
+    return tried, radius * (_LONGER if damped and kept else 1.0)
