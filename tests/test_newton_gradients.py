@@ -1,6 +1,7 @@
 """Gradients of `SolverDER` on a `wp.Tape`, against differences, and what is refused."""
 
 import contextlib
+from dataclasses import replace
 
 import newton
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 import wrod
 from wrod.errors import RodError
 from wrod.newton_solver.gradients import PROPERTIES
+from wrod.rods.law import Dahl, Plastic, StandardLinearSolid
 
 SolverDER = wrod.SolverDER
 STATE = ("node_q", "node_qd", "edge_director", "edge_spin")
@@ -59,11 +61,15 @@ class Scene:
         dt=0.01,
         states=2,
         ground=False,
+        law=None,
         **options,
     ):
         self.dt, self.states, self.ground = dt, states, ground
+        self.kinked = ground or law is not None  # forces have corners
         self.options = {"tolerance": 1e-13, "max_iterations": 60} | options
         material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.3)
+        if law is not None:
+            material = replace(wrod.RodModel.of(material), law=law)
         s = np.linspace(0.0, 0.3, 9)
         line = np.stack([s, 0.01 * np.sin(9.0 * s), 0.02 * np.cos(7.0 * s)], axis=1)
         if ground:
@@ -99,6 +105,9 @@ class Scene:
         if not ground:  # what is bent at rest keeps its roll on the ground
             curvature = rng.normal(size=der.node_natural_curvature.numpy().shape)
             der.node_natural_curvature.assign(curvature)
+        if law is not None:  # stiffer about one axis than about the other
+            bending = der.node_bending_stiffness.numpy() * [1.0, 0.7]
+            der.node_bending_stiffness.assign(bending)
         noise = 1e-5 if ground else 5e-4 if together else 0.003
         self.start = {
             "node_q": der.node_q.numpy() + noise * rng.normal(size=(18, 3)),
@@ -213,15 +222,15 @@ def compare(scene, names, size=1e-4, **options):
             step = {"gravity": 2.0**-7, "poses": 2.0**-16, "friction": 2.0**-10}[name]
         if name == "poses":
             way[: options.get("warm", 0)] = 0.0
-            step *= 2.0**-6 if scene.ground else 1.0
+            step *= 2.0**-6 if scene.kinked else 1.0
         elif name == "gravity" and scene.ground:  # more of it lets nodes slide that stick
             step *= 2.0**-4
         elif name in PROPERTIES and "natural" not in name:
             way *= getattr(scene.model.der, name).numpy()
         if name in ("edge_spin", "edge_stretching_stiffness"):  # which count little
             way *= 30.0
-        elif name == "node_q" and scene.ground:  # the skin in which contact begins is thin
-            way *= 0.05
+        elif name == "node_q" and scene.kinked:  # the skin in which contact begins is thin
+            way *= 0.01
         expected = scene.difference(name, way, step, **options)
         parts = found[name] * way
         single = 1e-7 * np.abs(parts).sum() if name in SINGLE else 0.0
@@ -248,6 +257,19 @@ def test_gradients_against_differences(options, states):
     # Nothing damps what the midpoint rule lets ring: the loss is less smooth by what is stiff.
     size = 3e-5 if options.get("scheme") == "midpoint" else 5e-5
     compare(Scene(states=states, **options), EVERY, size=size)
+
+
+@pytest.mark.parametrize(
+    ("law", "options"),
+    [
+        (StandardLinearSolid(0.8, 0.03), {"scheme": "euler"}),
+        (Plastic(2.0, 0.3), {"max_step": 0.006}),
+        (Dahl(2.0, 0.3), {}),
+    ],
+)
+def test_gradients_through_rods_with_a_past(law, options):
+    """Of what a section remembers, in both directions of bending, from before its first step on."""
+    compare(Scene(law=law, **options), EVERY, size=5e-5)
 
 
 def test_motion_that_goes_on_from_before_the_tape():

@@ -110,13 +110,16 @@ def load_wanted(
 @wp.struct
 class StepMatrix:
     """A_n^T: the Hessian, and what makes it unsymmetric; see `weigh_spins`, and
-    `wrod.kernels.contact.plane_adjoint` for `coupling`, which may have no columns."""
+    `wrod.kernels.contact.plane_adjoint` for `coupling` and
+    `wrod.kernels.stepping.inelastic_adjoint` for `skew` and `rate`, which may have no columns."""
 
     hessian: wp.array3d(dtype=wp.float64)
     spin_inertia: wp.array2d(dtype=wp.float64)
     moment: wp.array2d(dtype=wp.vec3d)
     by_end: wp.array2d(dtype=wp.vec3d)
     coupling: wp.array2d(dtype=wp.mat33d)
+    skew: wp.array2d(dtype=wp.float64)
+    rate: wp.array3d(dtype=wp.vec2d)
 
 
 @wp.func
@@ -141,6 +144,12 @@ def entry(m: StepMatrix, r: int, a: int, b: int) -> wp.float64:
             value += m.spin_inertia[r, e] * m.by_end[r, e][a % 4]
         elif a / 4 == e + 1:
             value -= m.spin_inertia[r, e] * m.by_end[r, e][a % 4]
+    if m.skew.shape[1] > 0:
+        last = wp.min(wp.min(a, b) / 4 + 1, m.skew.shape[1] - 2)
+        for i in range(wp.max((wp.max(a, b) - 3) / 4, 1), last + 1):
+            first = m.rate[r, i, a - 4 * (i - 1)]
+            other = m.rate[r, i, b - 4 * (i - 1)]
+            value += m.skew[r, i] * (other[0] * first[1] - other[1] * first[0])
     return value
 
 

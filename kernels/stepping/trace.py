@@ -163,13 +163,15 @@ class Wanted:
     """What a loss wants of rods at one time, its derivatives (rod, ...): by nodes and by the turn
     of each edge's frame about it (`dof`), by velocities, by how far the reference frame has turned
     while the edge's has not (`turn`, of each edge), by the strains that a viscous material
-    remembers, and by the bristles (shape, node) of friction."""
+    remembers, by the bristles (shape, node) of friction, and by the curvatures that nodes have of
+    their own whose bending remembers."""
 
     dof: wp.array2d(dtype=wp.float64)
     velocity: wp.array2d(dtype=wp.float64)
     turn: wp.array2d(dtype=wp.float64)
     strain: wp.array2d(dtype=wp.vec4d)
     bristle: wp.array3d(dtype=wp.vec3d)
+    lagging: wp.array2d(dtype=wp.vec2d)
 
 
 @wp.kernel
@@ -199,6 +201,9 @@ def go_back(
         now.strain[r, a] = before.strain[r, a]
         before.strain[r, a] = older.strain[r, a]
         older.strain[r, a] = wp.vec4d()
+    if a < now.lagging.shape[1]:
+        now.lagging[r, a] = before.lagging[r, a]
+        before.lagging[r, a] = wp.vec2d()
     if a < now.bristle.shape[2]:
         for m in range(now.bristle.shape[1]):
             now.bristle[r, m, a] = before.bristle[r, m, a]

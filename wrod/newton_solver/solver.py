@@ -248,8 +248,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
             RodError: dt is not positive, a state was made from another model, or, on a CPU, holds
                 numbers that are not finite (a GPU cuts such rods out, as `diverged` and a warning
                 of the next step say), or, while a tape is recorded, the step has no gradients: rods
-                with a past, or that touch anything but planes, or a body that this solver moves
-                touches something.
+                with a past by the midpoint rule, or that touch anything but planes, or a body that
+                this solver moves touches something.
         """
         with retold_as(RodError):
             self.validate_observables(observables, contacts)

@@ -225,10 +225,12 @@ class RodBatch(BatchArrays):
         active: wp.array | None = None,
         model: list[wp.array] | None = None,
         energy: bool = True,
+        energies: list | None = None,
     ) -> Derivatives:
         """Energy and gradient (`order` 1) and Hessian (`order` 2) of every active rod.
 
-        The frames of `state` must belong to its positions; `model` stands in for `elastic_model`.
+        The frames of `state` must belong to its positions; `model` stands in for `elastic_model`,
+        `energies` for the attribute.
         Without `energy` that is not computed: it stays what it was.
         """
         state = self.state if state is None else state
@@ -256,7 +258,7 @@ class RodBatch(BatchArrays):
                 device=self.device,
                 block_dim=size,
             )
-        for kernel, number in self.energies:
+        for kernel, number in self.energies if energies is None else energies:
             launch(
                 kernel,
                 nodes - 2,

@@ -17,7 +17,9 @@ from wrod.kernels.stepping.trace import OneStep, Wanted, go_back, recall_step
 from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.body_adjoint import BodyAdjoint
 from wrod.solvers.dynamics import Dynamics
-from wrod.solvers.inertia import add_inertia, line_density
+from wrod.solvers.flow_adjoint import FlowAdjoint
+from wrod.solvers.inertia import add_inertia
+from wrod.solvers.property_adjoint import PropertyAdjoint
 from wrod.solvers.steps import SCHEMES
 from wrod.solvers.trace import (
     Record,
@@ -102,11 +104,15 @@ class StepAdjoint:
         self._planes = planes_of(dynamics)
         self._coupling = floats(0 if self._planes is None else nodes, dtype=wp.mat33d)
         self.by_friction = floats(self.now.bristle.shape[1])
+        self._past = None if batch.inelastic is None else FlowAdjoint(batch)
+        skew, rate = floats(0), floats(0, 0, dtype=wp.vec2d)
+        if self._past is not None:
+            skew, rate = self._past.skew, self._past.rate
         self._matrix = filled(
             kernels.StepMatrix(),
             dict(
                 hessian=self._at.hessian, spin_inertia=self._spin_inertia, moment=self._moment,
-                by_end=self._by_end, coupling=self._coupling,
+                by_end=self._by_end, coupling=self._coupling, skew=skew, rate=rate,
             ),
         )  # fmt: skip
         self._factor = floats(dofs, banded_lu.BAND)
@@ -125,50 +131,18 @@ class StepAdjoint:
         self._edge_mass = none if dynamics.edge_mass is None else dynamics.edge_mass
         self._viscous_time = self.viscosity.time if viscous else floats(0, dtype=wp.vec4d)
         self._drag = floats(0, dtype=wp.vec2d) if dynamics.drag is None else dynamics.drag
-        self._prepare_model(air_of_mass)
+        self._properties = PropertyAdjoint(dynamics, self._viscous_time, air_of_mass)
+        self.model, self.by_spins = self._properties.model, self._properties.spins
         if stiffness_of_mass is None:
             stiffness_of_mass = np.zeros((rods, nodes))
         self._stiffness_share = wp.array(stiffness_of_mass, dtype=wp.float64, device=device)
-
-    def _prepare_model(self, air_of_mass: np.ndarray | None) -> None:
-        batch, dynamics = self.batch, self.dynamics
-        rods, nodes, device = batch.rod_count, batch.node_count, batch.device
-        model = self.model = model_adjoint.WantedModel()
-        for name, shape, dtype in (
-            ("rest_length", (rods, nodes - 1), wp.float64), ("radius", (rods, nodes), wp.float64),
-            ("stretching", (rods, nodes - 1), wp.float64), ("bending", (rods, nodes), wp.vec2d),
-            ("natural_curvature", (rods, nodes), wp.vec2d),
-            ("twisting", (rods, nodes), wp.float64), ("natural_twist", (rods, nodes), wp.float64),
-            ("node_mass", (rods, nodes), wp.float64), ("air", (rods, nodes), wp.float64),
-            ("gravity", (rods,), wp.vec3d),
-            ("viscous_time", self._viscous_time.shape, wp.vec4d),
-        ):  # fmt: skip
-            setattr(model, name, wp.zeros(shape, dtype=dtype, device=device))
-        if air_of_mass is None:
-            air_of_mass = np.repeat(dynamics.air_damping.numpy()[:, None], nodes, axis=1)
-        self._air_of_mass = wp.array(air_of_mass, dtype=wp.float64, device=device)
-        least = np.argmin(air_of_mass, axis=1)
-        self._stillest = wp.array(least, dtype=wp.int32, device=device)
-        # An edge's inertia goes with the mass of its piece of the row.
-        ends = np.array([*batch.cut_edges, nodes - 1])
-        piece = np.searchsorted(ends, np.arange(nodes))
-        total = np.stack([batch.node_mass.numpy()[:, piece == k].sum(axis=1)
-                          for k in range(len(ends))], axis=1)  # fmt: skip
-        share = dynamics.mass.numpy()[:, 3::4] / np.maximum(total[:, piece[:-1]], 1e-300)
-        self._piece = wp.array(piece, dtype=wp.int32, device=device)
-        self._spin_share = wp.array(share, dtype=wp.float64, device=device)
-        density = line_density(batch)
-        density[:, list(batch.cut_edges)] = 0.0
-        self._density = wp.array(density, dtype=wp.float64, device=device)
-        self._spins = wp.zeros(total.shape, dtype=wp.float64, device=device)
 
     def clear(self) -> None:
         """Want nothing any more."""
         for level in self._levels:
             for name in Wanted.vars:
                 getattr(level, name).zero_()
-        for name in model_adjoint.WantedModel.vars:
-            getattr(self.model, name).zero_()
+        self._properties.clear()
         self.by_friction.zero_()
         if self.bodies is not None:
             self.bodies.clear()
@@ -187,6 +161,8 @@ class StepAdjoint:
             if self._goes_halfway:
                 recorded = [record.steps, record.count, back, *record.end]
                 batch.launch(midpoint_adjoint.recall_end, shape, recorded, [self._end])
+            if self._past is not None:
+                self._past.want_flowed(self.step, self.now, self.model)
             self._settle(self.step.active, self._end)
             if self._goes_halfway:
                 self._go_to_middle()
@@ -194,9 +170,10 @@ class StepAdjoint:
                     held(self._end)
             self._factorise()
             self._solve()
-            self._spins.zero_()
+            self.by_spins.zero_()
             self._want_friction()
-            self._want_model(record)
+            levels = self.before, self.older
+            self._properties.want(record.gravity, self.step, self._x, levels)
             self._want_before()
             if held is not None:
                 held(self.step)
@@ -211,10 +188,14 @@ class StepAdjoint:
         batch.launch(recall_step, shape, [record.steps, count, back], [self.step])
         if self.bodies is not None:
             self.bodies.recall(record.bodies, count, back, self.step)
+        if self._past is not None:
+            self._past.recall(record.past, count, back, self.step)
 
     def settle(self, chosen: wp.array) -> None:
         """Let what is wanted of strains at the start of the rods that are not 0 in `chosen` (rod,)
         be wanted of their configuration there; `step` must be the first of all."""
+        if self._past is not None:
+            self._past.want_begun(chosen, self.step, self.now, self.model)
         start = OneStep()
         start.dof, start.director = self.step.dof_before, self.step.director_before
         self._settle(chosen, start)
@@ -257,7 +238,7 @@ class StepAdjoint:
         )
         batch.evaluate(
             order=2, state=self._state, out=at, active=step.active, model=self.viscosity.model,
-            energy=False,
+            energy=False, energies=None if self._past is None else self._past.energies,
         )  # fmt: skip
         places = [step.dof, step.dof_before, step.dof_older]
         add_inertia(dynamics, self._pace, places, [step.velocity, step.velocity_older], at)
@@ -296,9 +277,14 @@ class StepAdjoint:
             batch.launch(
                 plane_adjoint.want_friction,
                 (batch.rod_count, batch.node_count),
-                [self._planes.memory[0], self._stiffness_share, batch.node_mass, self._piece]
+                [
+                    self._planes.memory[0],
+                    self._stiffness_share,
+                    batch.node_mass,
+                    self._properties.piece,
+                ]
                 + [self.step, self.now, self._x],
-                [self.before, self.by_friction, self.model, self._spins],
+                [self.before, self.by_friction, self.model, self.by_spins],
             )
 
     def _solve(self) -> None:
@@ -341,38 +327,11 @@ class StepAdjoint:
         )
         if self.bodies is not None:
             self.bodies.want_before(step, self.model.gravity)
+        if self._past is not None:
+            self._past.want_before(step, self._x, self.now, self.before, self.model)
         batch.launch(
             kernels.want_still,
             shape,
             [batch.free, self.moved, step.active, self._by_end, self._by_start, self._held],
             [self.before, self.held],
-        )
-
-    def _want_model(self, record: Record) -> None:
-        batch, step = self.batch, self.step
-        rods, nodes = batch.rod_count, batch.node_count
-        rod = model_adjoint.Elastic()
-        rod.rest_length, rod.stretching = batch.rest_length, batch.stretching_stiffness
-        rod.bending, rod.natural_curvature = batch.bending_stiffness, batch.natural_curvature
-        rod.softening, rod.twisting = batch.softening, batch.twisting_stiffness
-        rod.natural_twist = batch.natural_twist
-        rod.viscous_time = self._viscous_time
-        outputs = [self.before, self.older, self.model]
-        for kernel, count in (
-            (model_adjoint.want_stretching, nodes - 1), (model_adjoint.want_bending, nodes - 2),
-        ):  # fmt: skip
-            batch.launch(kernel, (rods, count), [rod, step, self._x], outputs)
-        batch.launch(
-            model_adjoint.want_masses,
-            (rods, nodes),
-            [self._air_of_mass, self.dynamics.air_damping, self._stillest, self.dynamics.mass]
-            + [batch.node_mass, batch.load_factor, record.gravity, batch.rest_length]
-            + [self._spin_share, self._piece, step, self._x],
-            [self._spins, self.model],
-        )
-        batch.launch(
-            model_adjoint.share_spins,
-            (rods, nodes),
-            [self._density, self._piece, self._spins],
-            [self.model],
         )

@@ -13,6 +13,8 @@ from wrod.kernels.contact import plane_adjoint
 from wrod.kernels.stepping import trace as kernels
 from wrod.solvers.body_adjoint import BodyTrace
 from wrod.solvers.contact import Contact
+from wrod.solvers.flow_adjoint import FlowTrace
+from wrod.solvers.steps import SCHEMES
 
 if TYPE_CHECKING:
     from wrod.solvers.dynamics import Dynamics
@@ -62,8 +64,14 @@ def require_differentiable(dynamics: Dynamics) -> None:
         RodError: rods have laws of their own or a past.
     """
     batch = dynamics.batch
-    if batch.energies or batch.layers or batch.inelastic is not None:
-        raise RodError("gradients of motion know the linear and the softening law only")
+    of_memory = batch.inelastic is not None
+    if len(batch.energies) > of_memory or batch.layers:
+        raise RodError("gradients of motion know no laws of the caller's own")
+    if of_memory and (SCHEMES[dynamics._scheme] == "midpoint" or not dynamics.viscosity.exists):
+        raise RodError(
+            "gradients of motion know rods with a past by the bdf2 and euler schemes only, with "
+            "internal damping given for every node"
+        )
     touched = planes_of(dynamics)
     if touched is not None and touched.friction_field is not None:
         raise RodError("gradients of motion do not know friction that varies from place to place")
@@ -82,6 +90,7 @@ def make_wanted(dynamics: Dynamics) -> Any:
     out.strain = zeros(nodes if dynamics.viscosity.exists else 0, dtype=wp.vec4d)
     memory = (0, 0) if touched is None else touched.memory[1].shape[1:]
     out.bristle = zeros(*memory, dtype=wp.vec3d)
+    out.lagging = zeros(0 if batch.inelastic is None else nodes, dtype=wp.vec2d)
     return out
 
 
@@ -95,6 +104,7 @@ class Record:
         gravity: (rod,) that they were taken under.
         end: (rod, dof) configuration, and (rod, edge) reference directors, after the last.
         bodies: `wrod.kernels.stepping.body_adjoint.BodySteps` of those that hold rods, or None.
+        past: (step, rod, node) `wrod.kernels.elastic.inelastic.Inelastic` at the starts, or None.
     """
 
     steps: Any
@@ -103,6 +113,7 @@ class Record:
     gravity: wp.array
     end: tuple[wp.array, wp.array]
     bodies: Any = None
+    past: wp.array | None = None
 
 
 class Trace:
@@ -138,6 +149,7 @@ class Trace:
         if self._planes is not None:
             _, now["bristle"], now["sliding"] = self._planes.memory
         self._now = filled(kernels.OneStep(), now)
+        self._past = None if batch.inelastic is None else FlowTrace(batch, room)
         self._bodies = None if dynamics.bodies is None else BodyTrace(dynamics.bodies, room)
 
     def follow(self, dynamics: NewtonSteps) -> None:
@@ -158,8 +170,9 @@ class Trace:
         batch.launch(
             kernels.keep_step, dim, [dynamics.pace, self.count, self._now], [self._kept]
         )  # fmt: skip
-        if self._bodies is not None:
-            self._bodies.follow(dynamics, self.count)
+        for kept in (self._bodies, self._past):
+            if kept is not None:
+                kept.follow(dynamics, self.count)
         dynamics._per_rod(kernels.count_step, [dynamics.accepted], [self.count])
 
     def take(self) -> Record:
@@ -203,4 +216,5 @@ class Trace:
             wp.clone(self.batch.gravity),
             (wp.clone(state.dof), wp.clone(state.director)),
             None if self._bodies is None else self._bodies.take(most),
+            None if self._past is None else self._past.take(most),
         )

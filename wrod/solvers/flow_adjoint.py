@@ -1,0 +1,92 @@
+"""The adjoint of rods whose bending remembers, beside that of their steps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from wrod.kernels.elastic.inelastic import DAHL, Inelastic
+from wrod.kernels.stepping import inelastic_adjoint as kernels
+from wrod.rods.batch import RodBatch
+
+if TYPE_CHECKING:
+    from wrod.solvers.newton_steps import NewtonSteps
+
+
+class FlowTrace:
+    """Keeps what nodes remember at the starts of steps, for `wrod.solvers.trace.Trace`.
+
+    Args:
+        batch: of rods that remember.
+        room: steps that are kept.
+    """
+
+    def __init__(self, batch: RodBatch, room: int):
+        self._batch = batch
+        shape = room, batch.rod_count, batch.node_count
+        self._kept = wp.zeros(shape, dtype=Inelastic, device=batch.device)
+
+    def follow(self, dynamics: NewtonSteps, count: wp.array) -> None:
+        """Keep the accepted steps, `count` (rod,) having been kept."""
+        batch = self._batch
+        inputs = [dynamics.accepted, count, batch.inelastic]
+        shape = batch.rod_count, batch.node_count
+        batch.launch(kernels.keep_flow, shape, inputs, [self._kept])
+
+    def take(self, most: int) -> wp.array:
+        """The first steps, of which no rod has more than `most`."""
+        return wp.clone(self._kept[: max(most, 1)])
+
+
+class FlowAdjoint:
+    """Goes through memory backwards, with the steps of `wrod.solvers.adjoint.StepAdjoint`.
+
+    Attributes:
+        node: (rod, node) what nodes remember at the start of the step gone through last.
+        skew, rate: of `wrod.kernels.stepping.adjoint.StepMatrix`; without columns where no law has
+            a tangent that is not symmetric.
+    """
+
+    def __init__(self, batch: RodBatch):
+        self._batch = batch
+        self.node = wp.clone(batch.inelastic)
+        rods, nodes = batch.rod_count, batch.node_count
+        lopsided = bool((batch.inelastic.numpy()["law"] == int(DAHL)).any())
+        columns = nodes if lopsided else 0
+        self.skew = wp.zeros((rods, columns), dtype=wp.float64, device=batch.device)
+        self.rate = wp.zeros((rods, columns, 11), dtype=wp.vec2d, device=batch.device)
+        self._rod = kernels.Remembering()
+        self._rod.rest_length, self._rod.bending = batch.rest_length, batch.bending_stiffness
+        self._rod.natural_curvature = batch.natural_curvature
+
+    @property
+    def energies(self) -> list:
+        """The batch's, as they were in the step gone through last."""
+        past = self._batch.inelastic
+        return [(k, self.node if n is past else n) for k, n in self._batch.energies]
+
+    def _launch(self, kernel, inputs: list, outputs: list) -> None:
+        batch = self._batch
+        shape = batch.rod_count, batch.node_count - 2
+        batch.launch(kernel, shape, [self._rod, self.node, *inputs], outputs)
+
+    def recall(self, past: wp.array, count: wp.array, back: int, step: Any) -> None:
+        """Take up the step that is `back` before the last of each rod."""
+        batch = self._batch
+        shape = batch.rod_count, batch.node_count
+        batch.launch(kernels.recall_flow, shape, [past, count, back], [self.node])
+        if self.skew.shape[1]:
+            self._launch(kernels.measure_skew, [step], [self.skew, self.rate])
+
+    def want_flowed(self, step: Any, now: Any, model: Any) -> None:
+        """What later steps want of memory, of the step's end."""
+        self._launch(kernels.want_flowed, [step], [now, model])
+
+    def want_before(self, step: Any, x: wp.array, now: Any, before: Any, model: Any) -> None:
+        """From the end of the step to its start."""
+        self._launch(kernels.want_remembered, [step, x, now], [before, model])
+
+    def want_begun(self, chosen: wp.array, step: Any, now: Any, model: Any) -> None:
+        """Of the rods that are not 0 in `chosen` (rod,), which have never been elsewhere."""
+        self._launch(kernels.want_begun, [chosen, step], [now, model])

@@ -1,0 +1,104 @@
+"""What steps want of the rods' properties."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrod.kernels.stepping import model_adjoint
+from wrod.solvers.inertia import line_density
+
+if TYPE_CHECKING:
+    from wrod.solvers.dynamics import Dynamics
+
+
+class PropertyAdjoint:
+    """Sums up what steps want of rods' stiffness, shape, damping, masses and loads.
+
+    Args:
+        dynamics: that has taken the steps.
+        viscous_time: (rod, node) of every strain; without columns if there is none.
+        air_of_mass: as of `wrod.solvers.adjoint.StepAdjoint`.
+
+    Attributes:
+        model: `wrod.kernels.stepping.model_adjoint.WantedModel`, summed up until `clear`.
+        spins: (rod, piece) what a step wants of the inertia of edges about themselves.
+        piece: (node,) the piece of the row that a node is of.
+    """
+
+    def __init__(self, dynamics: Dynamics, viscous_time: wp.array, air_of_mass: np.ndarray | None):
+        batch = dynamics.batch
+        self._batch, self._dynamics, self._viscous_time = batch, dynamics, viscous_time
+        rods, nodes, device = batch.rod_count, batch.node_count, batch.device
+        model = self.model = model_adjoint.WantedModel()
+        for name, shape, dtype in (
+            ("rest_length", (rods, nodes - 1), wp.float64), ("radius", (rods, nodes), wp.float64),
+            ("stretching", (rods, nodes - 1), wp.float64), ("bending", (rods, nodes), wp.vec2d),
+            ("natural_curvature", (rods, nodes), wp.vec2d),
+            ("twisting", (rods, nodes), wp.float64), ("natural_twist", (rods, nodes), wp.float64),
+            ("node_mass", (rods, nodes), wp.float64), ("air", (rods, nodes), wp.float64),
+            ("gravity", (rods,), wp.vec3d),
+            ("viscous_time", viscous_time.shape, wp.vec4d),
+        ):  # fmt: skip
+            setattr(model, name, wp.zeros(shape, dtype=dtype, device=device))
+        if air_of_mass is None:
+            air_of_mass = np.repeat(dynamics.air_damping.numpy()[:, None], nodes, axis=1)
+        self._air_of_mass = wp.array(air_of_mass, dtype=wp.float64, device=device)
+        least = np.argmin(air_of_mass, axis=1)
+        self._stillest = wp.array(least, dtype=wp.int32, device=device)
+        # An edge's inertia goes with the mass of its piece of the row.
+        ends = np.array([*batch.cut_edges, nodes - 1])
+        piece = np.searchsorted(ends, np.arange(nodes))
+        total = np.stack([batch.node_mass.numpy()[:, piece == k].sum(axis=1)
+                          for k in range(len(ends))], axis=1)  # fmt: skip
+        share = dynamics.mass.numpy()[:, 3::4] / np.maximum(total[:, piece[:-1]], 1e-300)
+        self.piece = wp.array(piece, dtype=wp.int32, device=device)
+        self._spin_share = wp.array(share, dtype=wp.float64, device=device)
+        density = line_density(batch)
+        density[:, list(batch.cut_edges)] = 0.0
+        self._density = wp.array(density, dtype=wp.float64, device=device)
+        self.spins = wp.zeros(total.shape, dtype=wp.float64, device=device)
+
+    def clear(self) -> None:
+        """Want nothing any more."""
+        for name in model_adjoint.WantedModel.vars:
+            getattr(self.model, name).zero_()
+
+    def want(self, gravity: wp.array, step: Any, x: wp.array, levels: tuple) -> None:
+        """Add what a step wants of the properties, and of strains before it.
+
+        Args:
+            gravity: (rod,) that it was taken under.
+            step: `wrod.kernels.stepping.trace.OneStep`.
+            x: (rod, 1, dof) its multipliers.
+            levels: `wrod.kernels.stepping.trace.Wanted` at its start, and a step earlier.
+        """
+        batch = self._batch
+        rods, nodes = batch.rod_count, batch.node_count
+        rod = model_adjoint.Elastic()
+        rod.rest_length, rod.stretching = batch.rest_length, batch.stretching_stiffness
+        rod.bending, rod.natural_curvature = batch.bending_stiffness, batch.natural_curvature
+        rod.softening, rod.twisting = batch.softening, batch.twisting_stiffness
+        rod.natural_twist = batch.natural_twist
+        rod.viscous_time = self._viscous_time
+        outputs = [*levels, self.model]
+        for kernel, count in (
+            (model_adjoint.want_stretching, nodes - 1), (model_adjoint.want_bending, nodes - 2),
+        ):  # fmt: skip
+            batch.launch(kernel, (rods, count), [rod, step, x], outputs)
+        batch.launch(
+            model_adjoint.want_masses,
+            (rods, nodes),
+            [self._air_of_mass, self._dynamics.air_damping, self._stillest, self._dynamics.mass]
+            + [batch.node_mass, batch.load_factor, gravity, batch.rest_length]
+            + [self._spin_share, self.piece, step, x],
+            [self.spins, self.model],
+        )
+        batch.launch(
+            model_adjoint.share_spins,
+            (rods, nodes),
+            [self._density, self.piece, self.spins],
+            [self.model],
+        )
