@@ -11,6 +11,7 @@ from chosen import DEVICE
 import wrod
 from wrod.bench.newton_bodies import Arm
 from wrod.bench.newton_lag import Slider, period_and_rate, trembles
+from wrod.errors import WrodWarning
 
 SolverDER = wrod.SolverDER
 
@@ -145,3 +146,54 @@ def test_a_cable_too_heavy_for_what_holds_it():
     """Under a quarter of the body's mass nothing trembles; above it does."""
     assert not trembles(0.9 * 0.25, "bdf2")
     assert trembles(1.2 * 0.25, "bdf2")
+
+
+def pressed(mass, substeps, frames=30, **options):
+    """A box on a slider that Featherstone's solver moves falls 2 mm onto two cables on the ground:
+    heights of its bottom and of the cables' lowest node over the radius, frame by frame."""
+    radius = 0.005
+    builder = newton.ModelBuilder()
+    wrod.SolverDER.register_custom_attributes(builder)
+    builder.add_ground_plane()
+    material = wrod.RodMaterial.from_youngs_modulus(2e6, radius, 0.25, density=1150.0)
+    for y in (-0.05, 0.05):
+        points = np.column_stack([np.linspace(-0.125, 0.125, 26), np.full(26, y), [radius] * 26])
+        wrod.SolverDER.add_rod(
+            builder, points, material, internal_damping=0.02, air_damping=1.0, visible=False
+        )
+    link = builder.add_link()
+    cfg = newton.ModelBuilder.ShapeConfig(density=mass / (0.1 * 0.16 * 0.04))
+    builder.add_shape_box(link, hx=0.05, hy=0.08, hz=0.02, cfg=cfg)
+    start = wp.transform((0.0, 0.0, 2.0 * radius + 0.022), wp.quat_identity())
+    slider = builder.add_joint_prismatic(-1, link, axis=wp.vec3(0.0, 0.0, 1.0), parent_xform=start)
+    builder.add_articulation([slider])
+    model = builder.finalize(device=DEVICE)
+    arm = newton.solvers.SolverFeatherstone(model)
+    cable = wrod.SolverDER(model, **options)
+    state, other = model.state(), model.state()
+    newton.eval_fk(model, model.joint_q, model.joint_qd, state)
+    found = []
+    for k in range(frames * substeps):
+        state.clear_forces()
+        cable.add_body_forces(state)
+        arm.step(state, other, None, None, 1.0 / (60.0 * substeps))
+        cable.step(state, other, None, None, 1.0 / (60.0 * substeps), moved=other)
+        state, other = other, state
+        if (k + 1) % substeps == 0:
+            bottom = state.body_q.numpy()[link, 2] - 0.02
+            found.append((bottom / radius, state.der.node_q.numpy()[:, 2].min() / radius))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("mass", [1.4, 14.0])
+def test_heavy_bodies_of_other_solvers_press_no_cable_through_the_ground(mass):
+    """They lie on it, however heavy: 14 kg on cables of 23 g sank through them and the ground."""
+    bottom, lowest = pressed(mass, substeps=4).T
+    assert bottom.min() > 1.9 and lowest.min() > 0.93
+    assert bottom[-5:] == pytest.approx([1.946] * 5, abs=0.01)
+
+
+@pytest.mark.skipif(DEVICE != "cpu", reason="a GPU is not asked")
+def test_steps_that_shake_a_light_body_are_spoken_of():
+    with pytest.warns(WrodWarning, match="gets their load a step late"):
+        pressed(0.14, substeps=4, frames=4)

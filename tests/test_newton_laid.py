@@ -268,4 +268,4 @@ def test_forces_and_moments_are_equal_and_opposite():
     assert moment == pytest.approx(np.zeros(3), abs=1e-14 * push[6])
     group.contact._edges._model.rolling.fill_(1.0)
     with pytest.raises(RodError, match="cannot roll; use rolling=False"):
-        group.contact.carry(group.contact._edges.carried, np.zeros((1, 1)), np.zeros((1, 1, 13)))
+        group.contact.carry(group.contact._edges.carried, np.zeros((1, 1, 13)))

@@ -231,6 +231,10 @@ class RodGroup:
                 dynamics.velocity,
             )  # fmt: skip
             batch.transport_frames(state, state, self.changed)
+        if self.shape_contact is not None:
+            # What rods lie in from the first is told by where shapes are, which others have moved.
+            times = [self.changed, self.changed, dynamics.until, dynamics.time, dynamics.span]
+            self.shape_contact.follow(self.duration, times, [self.body_before, self.body_q])
         dynamics.restart(self.changed)
 
     def _read_frames(self, der) -> None:

@@ -43,6 +43,17 @@ def nobody_feels(model: newton.Model, bodies) -> None:
     )
 
 
+def shaken(model: newton.Model, longest: dict[int, float], dt: float) -> None:
+    """Stiff contact gives a light body of another solver its load a step late."""
+    body = min(longest, key=lambda b: longest[b])
+    _say(
+        f"body {model.body_label[body]!r}, which another solver moves, is pressed by rods, and "
+        f"gets their load a step late: steps of {dt:.3g} s shake it if several edges touch it. "
+        f"Take steps below {longest[body]:.2g} s, a smaller contact_stiffness, or let SolverDER "
+        "move it"
+    )
+
+
 def refuse_what_is_no_number(
     model: newton.Model, rods: newton.State, bodies: newton.State, moves_bodies: bool
 ) -> None:

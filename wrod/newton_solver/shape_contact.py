@@ -14,6 +14,8 @@ from wrod.solvers.contact import Contact
 # Under its own weight a rod on a shape sinks in by this fraction of its radius.
 _SINKING = 1.0 / 600.0
 _STANDARD_GRAVITY = 9.81
+# Longest step over sqrt(m / k), k of one edge, with which what presses ten or so does not shake.
+_LONGEST = 0.3
 
 
 class ShapeContact:
@@ -58,7 +60,15 @@ class ShapeContact:
         self._place = wp.array(carriers.place, dtype=wp.vec3d, device=self._device)
         self._turn = wp.array(carriers.turn, dtype=wp.quatd, device=self._device)
         self._others_move = bool((carriers.body >= 0).any())
+        firmest = self.contact.firmest()
+        self._longest = np.where(
+            carriers.mass > 0, _LONGEST * np.sqrt(carriers.mass / firmest), np.inf
+        )
         self._carried: CarriedShapes | None = None
+        # What is given holds for what others move.
+        burden = np.where((carriers.slot < 0) & (stiffness is not None), 0.0, carriers.burden)
+        if burden.any():
+            self.contact.bear(burden)
         if bodies is not None and (carriers.slot >= 0).any():
             self._carry(bodies, carriers, layout, holds, radius)
 
@@ -72,7 +82,16 @@ class ShapeContact:
         radius = 0.5 * (radius[:, 1:] + radius[:, :-1])
         deep = carried.overlaps(self.contact.table, radius)
         apart = layout.beside_holds(holds, carriers.slot, deep, radius)
-        self.contact.carry(carried, carriers.burden, apart)
+        self.contact.carry(carried, apart)
+
+    def shaken(self, duration: float) -> dict[int, float]:
+        """Bodies that others move, which rods touch, and which steps of that duration shake: their
+        longest steps. Waits for the device."""
+        short = (self._longest < duration) & (self._body.numpy() >= 0)
+        if not short.any():
+            return {}
+        short &= self.contact.pushes[0].numpy().any(axis=2)
+        return dict(zip(self._body.numpy()[short].tolist(), self._longest[short], strict=True))
 
     def per_mass(self) -> np.ndarray | None:
         """(row, node) stiffness of contact per mass of each node's rod, if it goes with it."""

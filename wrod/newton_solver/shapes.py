@@ -4,7 +4,7 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from newton import GeoType, Model, ShapeFlags
+from newton import BodyFlags, GeoType, Model, ShapeFlags
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -39,6 +39,10 @@ _SOLIDS = (
 # body that moves with rods, which touch solids there, ends after so many metres.
 _THINNESS, _ENDLESS = 1e-3, 1e3
 _STANDARD_GRAVITY = 9.81
+# Of the weight of a body that others move, one edge is to bear so much as if it moved with rods: it
+# bears all sunk in by half a radius. Its load is of the step before, with which stiffer contact
+# shakes.
+_PART_OF_OTHERS = 0.04
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,9 @@ class Carriers:
         body: (row, shape) bodies that others move, -1 for none.
         slot: (row, shape) slots of bodies that move with the rods, -1 for none.
         place, turn: (row, shape, 3) and (row, shape, 4) places and quaternions on these bodies.
-        burden: (row, shape) weight on Earth of the bodies that move with the rods [N].
+        burden: (row, shape) weight on Earth of the bodies that move with the rods, and a part of
+            that of bodies that others move by forces [N].
+        mass: (row, shape) of the latter, with all that joints tie them to [kg]; 0 for none.
     """
 
     body: np.ndarray
@@ -65,6 +71,7 @@ class Carriers:
     place: np.ndarray
     turn: np.ndarray
     burden: np.ndarray
+    mass: np.ndarray
 
 
 class ModelShapes:
@@ -125,7 +132,7 @@ class ModelShapes:
         chosen = self._touched(rods)
         shape = (len(chosen), max(map(len, chosen)))
         body, slot = np.full((2, *shape), -1, dtype=np.int32)
-        burden, pose = np.zeros(shape), np.zeros((*shape, 7))
+        burden, mass, pose = np.zeros(shape), np.zeros(shape), np.zeros((*shape, 7))
         pose[..., 6] = 1.0
         bodies, poses = self._read("body")[self.rows], self._read("transform")[self.rows]
         poses, kinds, sizes = poses.astype(float), self._read("type")[self.rows], self._sizes()
@@ -134,16 +141,21 @@ class ModelShapes:
             axis = Rotation.from_quat(poses[k, 3:]).as_matrix()[:, 2]
             poses[k, :3] -= _half_thickness(sizes[k]) * axis
         weight = _STANDARD_GRAVITY * self.model.body_mass.numpy()
+        moving = _moving_masses(self.model)
+        pushed = self.model.body_flags.numpy() & int(BodyFlags.DYNAMIC) != 0
         for r, row in enumerate(chosen):
             pose[r, : len(row)] = poses[row]
             for k, one in enumerate(row):
                 owner = int(self._owner[one])
                 if owner < 0:
                     body[r, k] = bodies[one]
+                    if bodies[one] >= 0 and pushed[bodies[one]]:
+                        burden[r, k] = _PART_OF_OTHERS * weight[bodies[one]]
+                        mass[r, k] = moving[bodies[one]]
                 else:
                     slot[r, k] = rods.slots[r][owner]
                     burden[r, k] = weight[owner]
-        return Carriers(body, slot, pose[..., :3], pose[..., 3:], burden)
+        return Carriers(body, slot, pose[..., :3], pose[..., 3:], burden, mass)
 
     def indices(self, rods: RodPlaces) -> np.ndarray:
         """(rod, shape) of the shapes in the model, -1 where a row has fewer than others."""
@@ -218,6 +230,17 @@ class ModelShapes:
             device = str(self.model.device)
             self._meshes[shape] = Mesh(*_triangles(source, kind, size), device=device)
         return self._meshes[shape].moved(place, quaternion)
+
+
+def _moving_masses(model: Model) -> np.ndarray:
+    """(body,) mass of the articulation that a body is of, or its own [kg]."""
+    out = model.body_mass.numpy().astype(float)
+    if model.joint_count:
+        child, tied = model.joint_child.numpy(), model.joint_articulation.numpy()
+        for articulation in np.unique(tied[tied >= 0]):
+            bodies = np.unique(child[tied == articulation])
+            out[bodies] = out[bodies].sum()
+    return out
 
 
 def _half_thickness(size: np.ndarray) -> float:

@@ -175,7 +175,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         self._force, self._torque = (
             wp.zeros(model.body_count, dtype=wp.vec3d, device=model.device) for _ in range(2)
         )
-        self._loads_taken, self._fell, self._steps = False, False, 0
+        self._loads_taken = self._fell = self._shook = False
+        self._steps = 0
         self._last_out: weakref.ref | None = None
         self._build()
 
@@ -276,6 +277,11 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         self._steps += 1
         if self._others and self._steps == _PATIENCE and not self._loads_taken:
             notes.nobody_feels(self.model, self._others)
+        if self._loads_taken and device.is_cpu and not (self._shook or device.is_capturing):
+            longest = [g.shape_contact.shaken(dt) for g in self._groups if g.shape_contact]
+            if any(longest):
+                self._shook = True
+                notes.shaken(self.model, {b: t for one in longest for b, t in one.items()}, dt)
 
     def _advance(self, state_in, state_out, moved, contacts, dt: float, tape) -> None:
         """`step`, of which nothing is recorded but what goes back through it."""

@@ -43,7 +43,6 @@ __all__ = [
     "Sphere",
 ]
 
-
 _IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
 _IS_SHAPE = arguments.like("a Plane or a solid", "_describe")
 # One or a list of them.
@@ -265,13 +264,15 @@ class Contact(OnDevice):
         self._model.roll_friction.assign(self._kept(roll, rolling))
         self._note_fixtures()
 
-    def carry(self, carried: CarriedShapes, burden: np.ndarray, apart: np.ndarray) -> None:
-        """Let solids move with bodies: `burden` (rod, shape) is the weight that one edge is to bear
-        sunk in by a fortieth of the radius [force], `apart` (rod, shape, edge) what does not touch.
-        What stands still bears the heaviest of them through a rod.
-        """
+    def carry(self, carried: CarriedShapes, apart: np.ndarray) -> None:
+        """Let solids move with bodies: `apart` (rod, shape, edge) is what does not touch."""
+        self._edges.carry(carried, apart)
+
+    def bear(self, burden: np.ndarray) -> None:
+        """Let shapes press: `burden` (rod, shape) is the weight that one edge bears sunk in by a
+        fortieth of the radius [force]; what has none bears the heaviest of them through a rod."""
         heaviest = burden.max(axis=1, keepdims=True)
-        self._edges.carry(carried, np.maximum(burden, np.where(burden > 0, 0, heaviest)), apart)
+        self._edges.bear(np.maximum(burden, np.where(burden > 0, 0, heaviest)))
         model = self._model
         given = model.stiffness.numpy()
         firm = np.maximum(given, 0.5 * heaviest / model.skin.numpy())
@@ -314,6 +315,10 @@ class Contact(OnDevice):
             + [self._bristle, self._sliding, self._turned],
             outputs,
         )
+
+    def firmest(self) -> np.ndarray:
+        """(rod, shape) stiffness of the stiffest edge against each shape [force/length]."""
+        return self._edges.firmest()
 
     @property
     def tangent_stiffness(self) -> wp.array:

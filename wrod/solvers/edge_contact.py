@@ -69,7 +69,20 @@ class EdgeContact:
         dim = (batch.rod_count, batch.node_count - 1)
         batch.launch(kernel, dim, inputs, outputs)
 
-    def carry(self, carried: CarriedShapes, burden: np.ndarray, apart: np.ndarray) -> None:
+    def bear(self, burden: np.ndarray) -> None:
+        """Let shapes press: see `Contact.bear`."""
+        device = self.batch.device
+        self._model.burden = wp.array(burden, dtype=wp.float64, device=device)
+
+    def firmest(self) -> np.ndarray:
+        """See `Contact.firmest`."""
+        m = self._model
+        out = np.nanmax(m.stiffness.numpy(), axis=1, keepdims=True)
+        if m.burden is not None and m.burden.size:
+            out = np.maximum(out, 0.5 * m.burden.numpy() / m.skin.numpy().max(axis=1)[:, None])
+        return np.broadcast_to(out, m.shapes.shape)
+
+    def carry(self, carried: CarriedShapes, apart: np.ndarray) -> None:
         """Let shapes move with bodies: see `Contact.carry`.
 
         Raises:
@@ -77,10 +90,8 @@ class EdgeContact:
         """
         if self._model.rolling.numpy().any():
             raise RodError("rods on shapes that move with them cannot roll; use rolling=False")
-        device = self.batch.device
         self.carried = carried
-        self._model.burden = wp.array(burden, dtype=wp.float64, device=device)
-        self._model.apart = wp.array(apart.astype(np.int8), dtype=wp.int8, device=device)
+        self._model.apart = wp.array(apart.astype(np.int8), dtype=wp.int8, device=self.batch.device)
 
     def add(self, step: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         out, old = self.batch.derivatives, [self.bristle, self.sliding, self.turned]
