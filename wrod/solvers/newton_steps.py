@@ -235,7 +235,7 @@ class NewtonSteps(Steps):
         if self._starts_linearly:
             for contact in self.contacts:
                 if hasattr(contact, "hold_still"):
-                    contact.hold_still(self.accepted, dof)
+                    contact.hold_still(self.accepted, dof, start.dof)
         if self.bodies is not None and SCHEMES[self._scheme] == "midpoint":
             # Velocities are of points that went straight on; on a body they turn.
             self.bodies.put(self.accepted, start)
