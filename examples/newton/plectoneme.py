@@ -67,7 +67,6 @@ class Example:
         wrod.SolverDER.register_custom_attributes(builder)
         t = np.linspace(0.0, 1.0, EDGES + 1)
         points = np.column_stack([LENGTH * t, 0 * t, 1e-3 * np.sin(np.pi * t) ** 2])
-        points[[1, -2], 2] = 0.0  # hands hold the directions of the first and last edge
         material = wrod.RodMaterial.from_youngs_modulus(2e7, RADIUS, LENGTH, density=1150.0)
         ends = [
             builder.add_link(xform=wp.transform(wp.vec3(*points[k])), is_kinematic=True)

@@ -50,7 +50,6 @@ class Example:
         for k, young in enumerate([*YOUNGS, YOUNGS[1]]):
             points = (straight if k == len(YOUNGS) else half) + [0.45 * k, 0.0, 0.0]
             self.circles.append(points.copy())
-            points[1] = points[0] + [0.0, edge, 0.0]
             hand = builder.add_link(xform=wp.transform(wp.vec3(*points[0])), is_kinematic=True)
             material = wrod.RodMaterial.from_youngs_modulus(young, RADIUS, np.pi * BEND)
             rod = wrod.SolverDER.add_rod(

@@ -46,7 +46,6 @@ def wind(edges: int, turns: float, slack: float) -> Ply:
     SolverDER.register_custom_attributes(builder)
     t = np.linspace(0.0, 1.0, edges + 1)
     points = np.column_stack([_LENGTH * t, 0.0 * t, 1e-3 * np.sin(np.pi * t) ** 2])
-    points[[1, -2], 2] = 0.0
     model = RodModel(
         length=_LENGTH, bending_stiffness=_BENDING, twisting_stiffness=2.0 * _BENDING,
         stretching_stiffness=4e3 * _BENDING / _RADIUS**2, line_mass=0.05, radius=_RADIUS,

@@ -79,7 +79,7 @@ class RodBuilding:
             material: What the rod is, from the first node on; its `length` and `gravity` are
                 not used.
             start: How the first node is held: "free", "pinned" (place) or "clamped" (place,
-                direction and twist).
+                direction and twist, which a bent shape's first two edges have at the node).
             start_body: What holds it: a body, or -1 for the world.
             end: How the last node is held.
             end_body: What holds it.

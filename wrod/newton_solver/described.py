@@ -45,7 +45,7 @@ def add_described(builder, described: newton.Rod, density: float, add, **options
         if rest_directors is None and described.rest_points is not None:
             rest = _Shape(rest.points, shape.carried_to(rest.points))
         ring = nodes[0] == nodes[-1]
-        curvature, twist = rest.strains(shape, ring, straight=described.rest_straight)
+        curvature, twist = rest.strains(ring, straight=described.rest_straight)
         held = {}
         for side, node in (("start", nodes[0]), ("end", nodes[-1])):
             if node in joints:
@@ -78,20 +78,19 @@ class _Shape:
         """Directors turned the shortest way to the tangents of another polygon."""
         return transport(self.directors, self.tangents, unit(np.diff(points, axis=0)))
 
-    def strains(self, first: _Shape, ring: bool, straight: bool) -> tuple[np.ndarray, np.ndarray]:
+    def strains(self, ring: bool, straight: bool) -> tuple[np.ndarray, np.ndarray]:
         """Curvature (node, 2) and twist (node,) of this shape as `RodBatch` measures them [1/m], or
-        none. At the ends of a ring, which a joint holds as they first lie: those beyond what
-        `first` has there."""
+        none; an end has those of the node beside it, in a ring of its own place."""
         count = len(self.points)
         curvature, twist = np.zeros((count, 2)), np.zeros(count)
+        if straight:
+            return curvature, twist
         for i in range(1, count - 1):
-            if not straight:
-                curvature[i], twist[i] = self._bend(i - 1, i)
-        if ring:
-            mine = (0.0, 0.0) if straight else self._bend(count - 2, 0)
-            theirs = first._bend(count - 2, 0)
-            for i in (0, count - 1):
-                curvature[i], twist[i] = mine[0] - theirs[0], mine[1] - theirs[1]
+            curvature[i], twist[i] = self._bend(i - 1, i)
+        for i, beside in (0, 1), (count - 1, count - 2):
+            curvature[i], twist[i] = curvature[beside], twist[beside]
+            if ring:
+                curvature[i], twist[i] = self._bend(count - 2, 0)
         return curvature, twist
 
     def _bend(self, e: int, f: int) -> tuple[np.ndarray, float]:

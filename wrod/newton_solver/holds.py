@@ -67,20 +67,29 @@ class Holds:
     def _add(self, rod: int, node: int, kind: int, body: int, ghost: int) -> None:
         first_node, first_edge, count = (int(a[rod]) for a in self._span)
         edge = min(node, count - 2)
-        way = self._q[first_node + edge + 1] - self._q[first_node + edge]
-        length = float(np.linalg.norm(way))
-        tangent, director = way / length, self._director[first_edge + edge]
-        turn = Rotation.from_matrix(
-            np.column_stack([tangent, director, np.cross(tangent, director)])
-        )
+        length, turn = self._frame(first_node + edge, first_edge + edge)
+        ghost = ghost if kind == CLAMPED else 0
+        if ghost:
+            # The clamp has the direction at the node, which a bent shape's first edge has half an
+            # edge later: what turns it between two edges goes on to there.
+            beyond, next_turn = self._frame(first_node + edge - ghost, first_edge + edge - ghost)
+            bend = (turn.inv() * next_turn).as_rotvec()
+            turn = turn * Rotation.from_rotvec(-length / (length + beyond) * bend)
         place = self._q[first_node + node]
         if body >= 0:
             carrier = Rotation.from_quat(self._bodies[body, 3:])
             place = carrier.inv().apply(place - self._bodies[body, :3])
             turn = carrier.inv() * turn
-        ghost = ghost if kind == CLAMPED else 0
         reach = ghost * float(self._rest[first_edge + edge]) if ghost else length
         self._of[rod].append(Held(rod, node, kind, body, ghost, reach, place, turn.as_quat()))
+
+    def _frame(self, node: int, edge: int) -> tuple[float, Rotation]:
+        """Length and frame of the edge after a node."""
+        way = self._q[node + 1] - self._q[node]
+        length = float(np.linalg.norm(way))
+        tangent, director = way / length, self._director[edge]
+        frame = np.column_stack([tangent, director, np.cross(tangent, director)])
+        return length, Rotation.from_matrix(frame)
 
 
 def _attachments(der) -> list[tuple[int, int, int, int]]:
