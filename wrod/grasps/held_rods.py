@@ -30,12 +30,8 @@ class RodsOverTable(RodBatch):
 
     table_stiffness = 0.0
 
-    def evaluate(
-        self, *, order=2, state=None, out=None, active=None, model=None, energy=True
-    ) -> Derivatives:
-        out = super().evaluate(
-            order=order, state=state, out=out, active=active, model=model, energy=energy
-        )
+    def evaluate(self, *, order=2, state=None, out=None, active=None, **options) -> Derivatives:
+        out = super().evaluate(order=order, state=state, out=out, active=active, **options)
         if self.table_stiffness > 0.0:
             state = self.state if state is None else state
             wp.launch(

@@ -87,6 +87,7 @@ def profile_of(laboratory: Laboratory, singles: Sequence[Fit], found: Found) -> 
             if rich is None:
                 break
             (effect,) = rich.model.effects
+            assert isinstance(effect, ProfileEffect)
             return ProfileEffect(found.kind, effect.basis, effect.about, rich.values)
     return ProfileEffect(found.kind, found.basis)
 
