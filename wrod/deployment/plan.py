@@ -69,30 +69,27 @@ def plan(
             (straight above the contact); or "distilled": "auto", corrected for `friction` by a
             network that learnt it from optimised plans, in milliseconds.
         closure: "zero_tension", "min_force" or "min_friction"; "neural" knows its controller's
-            only, which for the one that ships is the first. None: the given controller's; without
-            one, what lays the pattern best for "auto" (see `favoured_closure`), and the paper's
-            "zero_tension" for the others.
+            only (the first, for the one that ships). None: the given controller's; without one,
+            what lays best for "auto" (`favoured_closure`), the paper's "zero_tension" for others.
         spacing: largest distance between the contact nodes [m].
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the free
-            end is expected to spring off by more than 0.15 L_gb on a table of friction 0.3
-            (`free_end`), True, False, or its length [m]. None with `friction`: where two lengths
-            may do, that with which the corrected plan is expected to lie better.
+            end is expected to spring off by more than 0.15 L_gb at friction 0.3 (`free_end`),
+            with `friction` the length of two that is expected better; True, False, or a length [m].
         roll: how the rod is put into the grip: the laid rod's first material director is turned
             by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
             into the table's plane to the side to which the pattern turns in all, or upwards. In
             the plane the twist changes least; up, less is pushed aside (docs/loop.md).
         spin: by how much the hand turns besides about a rod without sides, which twists it [rad].
             With `friction`, grasps know the twist as far as the table is expected to hold it.
-        controller: what "neural" and "auto" ask, for example one that was trained for this
-            naturally curved rod; None is the one that ships, for all straight rods.
+        controller: what "neural" and "auto" ask; None is the one that ships, for straight rods.
         friction: of the table, a coefficient (taken to be known to a tenth) or a range: the path
             is corrected through simulated deployments until what stays lies on the pattern
             (docs/deployment.md; a minute or two). None: the grasps as they are.
         pace: of the contact on that table [m/s], 0.04 by default; of a range the fastest harmless.
         expect: also lay the finished plan in simulation, on tables of `friction` or, where it is
             not said, of 0.2 to 0.6 (seconds), for its `expected`.
-        device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
-        progress: called with the nodes done since the last call and the number of all nodes.
+        device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice; progress:
+            called with the nodes done since the last call and the number of all nodes.
 
     Returns:
         One pose per contact node; `metadata` names method, closure, solver, rod, pattern,
@@ -120,9 +117,8 @@ def plan(
     )  # fmt: skip
     if friction is None and not expect:
         return plan_grasps(pattern, rod, method, remainder=remainder, **how)
-    led = [prepare(pattern, rod, remainder)]
-    if remainder is None and friction is not None and method != DISTILLED:
-        led = lead_ins(pattern, rod)
+    chosen = remainder is None and friction is not None and method != DISTILLED
+    led = lead_ins(pattern, rod) if chosen else [prepare(pattern, rod, remainder)]
     return _for_a_table(led, rod, method, friction, pace, expect, how)
 
 
