@@ -143,15 +143,3 @@ def invariant_gradient(s: Stencil, k: Component, m: Component):
     te = -k.kappa * k.te - m.kappa * m.te
     tf = -k.kappa * k.tf - m.kappa * m.tf
     return e, f, te, tf
-
-
-@wp.func
-def add_invariant_rate(
-    gradient_rate: wp.array2d(dtype=wp.float64), r: int, i: int, s: Stencil, rate: wp.float64
-):
-    """Add what a rate of B / l contributes to that of the gradient through what the energy has
-    beyond the components of the curvature."""
-    e, f, te, tf = invariant_gradient(s, component(s, 0), component(s, 1))
-    add_edge_gradient(gradient_rate, r, i, (rate / s.length_e) * e, (rate / s.length_f) * f)
-    add_component(gradient_rate, r, 4 * i - 1, rate * te)
-    add_component(gradient_rate, r, 4 * i + 3, rate * tf)

@@ -61,28 +61,3 @@ def add_stretching(
         add_diagonal_block(hessian, r, a, s.hessian)
         add_block(hessian, r, a + 4, a, -s.hessian)
         add_diagonal_block(hessian, r, a + 4, s.hessian)
-
-
-@wp.kernel
-def stretching_rate(
-    # Model:
-    rest_length: wp.array2d(dtype=wp.float64),
-    stretching_stiffness: wp.array2d(dtype=wp.float64),
-    rest_length_rate: wp.array2d(dtype=wp.float64),
-    stretching_stiffness_rate: wp.array2d(dtype=wp.float64),
-    # State in:
-    dof_in: wp.array2d(dtype=wp.float64),
-    # Out:
-    gradient_rate_out: wp.array2d(dtype=wp.float64),
-):
-    """Add the derivative of the gradient along a change of rest lengths and stiffnesses."""
-    r, i = wp.tid()
-    e = edge(dof_in, r, i)
-    length = wp.length(e)
-    rest = rest_length[r, i]
-    strain = length / rest - ONE
-    strain_rate = -length / (rest * rest) * rest_length_rate[r, i]
-    rate = stretching_stiffness_rate[r, i] * strain + stretching_stiffness[r, i] * strain_rate
-    g = (rate / length) * e
-    add_vector(gradient_rate_out, r, 4 * i, -g)
-    add_vector(gradient_rate_out, r, 4 * i + 4, g)

@@ -6,9 +6,8 @@ parallel-transported in time from the state at which they are evaluated.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_component, add_edge_gradient
 from wrod.kernels.elastic.curvature import Stencil
-from wrod.kernels.elastic.frames import HALF, ONE, edge
+from wrod.kernels.elastic.frames import HALF, ONE
 
 wp.set_module_options({"enable_backward": False})
 
@@ -79,37 +78,3 @@ def twisting_hessian(s: Stencil, twist: Twisting):
         (per_chi / s.length_e) * wp.skew(s.t) - wp.outer(twist.e, mean)
     )
     return ee, ef, ff
-
-
-@wp.kernel
-def twisting_rate(
-    # Model:
-    rest_length: wp.array2d(dtype=wp.float64),
-    twisting_stiffness: wp.array2d(dtype=wp.float64),
-    natural_twist: wp.array2d(dtype=wp.float64),
-    rest_length_rate: wp.array2d(dtype=wp.float64),
-    twisting_stiffness_rate: wp.array2d(dtype=wp.float64),
-    natural_twist_rate: wp.array2d(dtype=wp.float64),
-    # State in:
-    dof_in: wp.array2d(dtype=wp.float64),
-    reference_twist_in: wp.array2d(dtype=wp.float64),
-    # Out:
-    gradient_rate_out: wp.array2d(dtype=wp.float64),
-):
-    """Add the derivative of the gradient along a change of the model."""
-    r, j = wp.tid()
-    i = j + 1
-    e = edge(dof_in, r, i - 1)
-    f = edge(dof_in, r, i)
-    t = wp.normalize(e)
-    u = wp.normalize(f)
-    rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
-    rest_rate = HALF * (rest_length_rate[r, i - 1] + rest_length_rate[r, i])
-    twist = (dof_in[r, 4 * i + 3] - dof_in[r, 4 * i - 1] + reference_twist_in[r, i]) / rest
-    excess_rate = -twist * rest_rate / rest - natural_twist_rate[r, i]
-    rate = twisting_stiffness_rate[r, i] * (twist - natural_twist[r, i])
-    rate += twisting_stiffness[r, i] * excess_rate
-    binormal = (rate / (ONE + wp.dot(t, u))) * wp.cross(t, u)
-    add_edge_gradient(gradient_rate_out, r, i, binormal / wp.length(e), binormal / wp.length(f))
-    add_component(gradient_rate_out, r, 4 * i - 1, -rate)
-    add_component(gradient_rate_out, r, 4 * i + 3, rate)

@@ -3,7 +3,8 @@
 A parameter's tangent (rod, column, dof) solves the linearised step with the step's own matrix. Its
 angles are those of the material frame against frames parallel-transported from the nominal motion.
 A thread works on `per_thread` columns one after the other: what they share is computed once.
-Arrays of the model with a leading axis of one are shared by all rods.
+Arrays of the model with a leading axis of one are shared by all rods; rates of the elastic model
+are of each column, or of each rod's.
 """
 
 import warp as wp
@@ -180,7 +181,8 @@ def elastic_tangents(
         return
     coefficient = coefficients[r]
     dt = step[r]
-    columns = stiffness_rate.shape[0]
+    columns = right_hand_side.shape[0] // accepted.shape[0]
+    shared = stiffness_rate.shape[0] == columns
     first_column = group * per_thread
     last_column = wp.min(columns, first_column + per_thread)
     # The edge after node i stretches.
@@ -191,8 +193,9 @@ def elastic_tangents(
     m = wp.min(r, stiffness.shape[0] - 1)
     for j in range(first_column, last_column):
         row = r * columns + j
-        pull = stretching_rate[j, i] * stretch
-        pull -= stretching[m, i] * length_e / (rest_e * rest_e) * rest_length_rate[j, i]
+        q = wp.where(shared, j, row)
+        pull = stretching_rate[q, i] * stretch
+        pull -= stretching[m, i] * length_e / (rest_e * rest_e) * rest_length_rate[q, i]
         for c in range(3):
             wp.atomic_add(right_hand_side, row, 4 * i + c, pull * e[c] / length_e)
             wp.atomic_add(right_hand_side, row, 4 * i + 4 + c, -pull * e[c] / length_e)
@@ -223,7 +226,9 @@ def elastic_tangents(
     one = law_denominator(b, excess, law[0])
     secant = law[1] + (ONE - law[1]) / one
     for j in range(first_column, last_column):
-        length_rate = HALF * (rest_length_rate[j, i - 1] + rest_length_rate[j, i])
+        row = r * columns + j
+        q = wp.where(shared, j, row)
+        length_rate = HALF * (rest_length_rate[q, i - 1] + rest_length_rate[q, i])
         flow_rate = rate(
             coefficient,
             dt,
@@ -231,17 +236,16 @@ def elastic_tangents(
             strain_tangent_before[r, j, i],
             strain_tangent_older[r, j, i],
         )
-        b_rate = stiffness_rate[j, i]
-        change = wp.cw_mul(viscous_time_rate[j, i], flow) + wp.cw_mul(eta, flow_rate)
-        change = change / length - total * (length_rate / length) - rest_strain_rate[j, i]
+        b_rate = stiffness_rate[q, i]
+        change = wp.cw_mul(viscous_time_rate[q, i], flow) + wp.cw_mul(eta, flow_rate)
+        change = change / length - total * (length_rate / length) - rest_strain_rate[q, i]
         moment = wp.cw_mul(b_rate, excess) + wp.cw_mul(b, change)
-        if law[0] != ZERO:
-            law_rate = softening_rate[j, i]
+        law_rate = softening_rate[q, i]
+        if law[0] != ZERO or law_rate[0] != ZERO:
             one_rate = law_denominator_rate(b, b_rate, excess, change, law[0], law_rate[0])
             secant_rate = law_rate[1] * (ONE - ONE / one) - (ONE - law[1]) * one_rate / (one * one)
             for k in range(2):
                 moment[k] = secant * moment[k] + secant_rate * b[k] * excess[k]
-        row = r * columns + j
         invariant = (HALF * (b_rate[0] + b_rate[1]) - mean * length_rate) / length
         g_e = moment[0] * first.e + moment[1] * second.e + moment[2] * binormal + invariant * k_e
         g_f = moment[0] * first.f + moment[1] * second.f + moment[2] * binormal + invariant * k_f

@@ -15,7 +15,6 @@ from wrod.identification.clamped.layout import (
     coupling_of,
     dead_force,
     end_poses,
-    full_shape,
     law_layers,
     node_part,
     wind_load,
@@ -23,11 +22,8 @@ from wrod.identification.clamped.layout import (
 from wrod.identification.clamped.sensing import Prediction, View
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
-from wrod.kernels.elastic.loads import dead_loads
-from wrod.kernels.elastic.softened_bending import softened_bending_rate
-from wrod.kernels.elastic.stretching import stretching_rate
-from wrod.kernels.elastic.twisting import twisting_rate
 from wrod.kernels.linear import banded
+from wrod.kernels.stepping.motion_tangents import elastic_tangents
 from wrod.rods.batch import RodBatch
 from wrod.solvers.banded import BandedSystem
 
@@ -68,11 +64,10 @@ class Sensitivity:
         system = self.system
         batch.evaluate(order=2)
         system.factorise(batch.derivatives.hessian, batch.every_rod)
-        gradient_rate = np.empty((batch.rod_count, count, batch.dof_count))
+        gradient_rate = self._gradient_rates(rates)
         step = np.zeros_like(gradient_rate)
         wind_rate = []
         for j, setups in enumerate(rates):
-            gradient_rate[:, j] = self._gradient_rate(setups)
             step[:, j] = self._prescribed_rate(setups)
             wind = np.repeat([s.wind for s in setups], self.trial_count, axis=0)
             wind_rate.append(np.imag(wind) / COMPLEX_STEP)
@@ -117,74 +112,75 @@ class Sensitivity:
         )
         return product.numpy()
 
-    def _gradient_rate(self, setups: Sequence[ClampedSetup]) -> np.ndarray:
-        """(rod, dof) derivative of the energy's gradient along the setups' imaginary parts."""
-        batch, device = self.batch, self.device
-        rate = {}
-        for name, value in batch_arrays(setups).items():
-            array = getattr(batch, name)
-            value = np.broadcast_to(np.imag(value) / COMPLEX_STEP, full_shape(array))
-            rate[name] = wp.array(np.ascontiguousarray(value), dtype=array.dtype, device=device)
-        out = wp.zeros_like(batch.derivatives.gradient)
-        rods, nodes, state = batch.rod_count, batch.node_count, batch.state
-        batch.launch(
-            stretching_rate,
-            (rods, nodes - 1),
-            [
-                batch.rest_length,
-                batch.stretching_stiffness,
-                rate["rest_length"],
-                rate["stretching_stiffness"],
-                state.dof,
-            ],
-            [out],
-        )
-        names = ("rest_length", "bending_stiffness", "natural_curvature", "softening")
-        bends = [([getattr(batch, n) for n in names], [rate[n] for n in names])]
-        for layer, own in zip(batch.layers, law_layers(setups), strict=True):
-            own = [wp.array(np.imag(v) / COMPLEX_STEP, dtype=wp.vec2d, device=device) for v in own]
-            bends.append(
-                (
-                    [batch.rest_length, layer[0], batch.natural_curvature, layer[1]],
-                    [rate["rest_length"], own[0], rate["natural_curvature"], own[1]],
-                )
-            )
-        for model, rates in bends:
-            batch.launch(
-                softened_bending_rate,
-                (rods, nodes - 2),
-                [*model, *rates, state.dof, state.director],
-                [out],
-            )
-        names = ("rest_length", "twisting_stiffness", "natural_twist")
-        batch.launch(
-            twisting_rate,
-            (rods, nodes - 2),
-            [getattr(batch, n) for n in names]
-            + [rate[n] for n in names]
-            + [state.dof, state.reference_twist],
-            [out],
-        )
-        self._add_coupling_rate(np.imag(coupling_of(setups)) / COMPLEX_STEP, rate, out)
-        no_load = wp.zeros_like(batch.point_load)
-        no_energy = wp.zeros_like(batch.derivatives.energy)
-        for mass, gravity in (
-            (rate["node_mass"], batch.gravity),
-            (batch.node_mass, rate["gravity"]),
-        ):
-            batch.launch(
-                dead_loads,
-                (rods, nodes),
-                [mass, gravity, no_load, batch.load_factor, batch.every_rod, state.dof],
-                [no_energy, out],
-            )
-        rate = out.numpy().copy()
-        force = np.imag(dead_force(setups)) / COMPLEX_STEP
-        rate -= np.pad(force, ((0, 0), (0, 0), (0, 1))).reshape(rods, -1)[:, :-1]
-        return rate
+    def _gradient_rates(self, rates: Sequence[Sequence[ClampedSetup]]) -> np.ndarray:
+        """(rod, column, dof) derivatives of the energy's gradient along the setups' imaginary
+        parts."""
+        batch = self.batch
+        every = [batch_arrays(setups) for setups in rates]
+        loads = [a["node_mass"][:, :, None] * a["gravity"][:, None] for a in every]
+        force = [load + dead_force(setups) for load, setups in zip(loads, rates, strict=True)]
+        force = np.pad(_rates_of(force), ((0, 0), (0, 0), (0, 0), (0, 1)))
+        out = -force.reshape(*force.shape[:2], -1)[:, :, :-1]
+        moved = {name: _rates_of([a[name] for a in every]) for name in every[0]}
+        model = {name: getattr(batch, name).numpy() for name in moved}
+        out += self._elastic_rates(model, moved)
+        # The other terms of a law of bending neither stretch nor twist.
+        none = ("stretching_stiffness", "twisting_stiffness")
+        laws = [law_layers(setups) for setups in rates]
+        for k, layer in enumerate(batch.layers):
+            names = ("bending_stiffness", "softening")
+            here = dict(zip(names, (array.numpy() for array in layer), strict=True))
+            own = {name: _rates_of([law[k][i] for law in laws]) for i, name in enumerate(names)}
+            here |= {name: np.zeros_like(model[name]) for name in none}
+            own |= {name: np.zeros_like(moved[name]) for name in none}
+            out += self._elastic_rates(model | here, moved | own)
+        coupling = _rates_of([coupling_of(setups) for setups in rates])
+        for column in range(len(rates)):
+            own = {name: rate[:, column] for name, rate in moved.items()}
+            self._add_coupling_rate(coupling[:, column], own, out[:, column])
+        return out
 
-    def _add_coupling_rate(self, coupling_rate, rate, out) -> None:
-        """What the coupling of bending with twist adds to `_gradient_rate`.
+    def _elastic_rates(self, model: dict, moved: dict) -> np.ndarray:
+        """(rod, column, dof) derivatives of the elastic energy's gradient along rates of a model's
+        arrays, (rod, column, ...)."""
+        batch, device, state = self.batch, self.device, self.batch.state
+        rods, nodes, count = batch.rod_count, batch.node_count, moved["rest_length"].shape[1]
+
+        def zeros(dtype, *shape):
+            return wp.zeros(shape, dtype=dtype, device=device)
+
+        def arrays(of: dict, axes: int) -> list[wp.array]:
+            """As the kernel takes them; `axes` before those of edges or nodes become one."""
+            bent = of["bending_stiffness"], of["natural_curvature"]
+            twisted = of["twisting_stiffness"], of["natural_twist"]
+            stiffness, strain = (
+                np.concatenate([two, one[..., None]], axis=-1)
+                for two, one in zip(bent, twisted, strict=True)
+            )
+            given = of["rest_length"], of["stretching_stiffness"], stiffness, strain
+            kinds = wp.float64, wp.float64, wp.vec3d, wp.vec3d, wp.vec3d, wp.vec2d
+            return [
+                wp.array(value.reshape(-1, *value.shape[axes:]), dtype=kind, device=device)
+                for value, kind in zip((*given, 0.0 * strain, of["softening"]), kinds, strict=True)
+            ]
+
+        # A processor's core takes all columns of a node, a GPU's threads one each.
+        each = count if wp.get_device(device).is_cpu else 1
+        # Nothing flows, so that the strains before do not count.
+        past, flow = zeros(wp.vec4d, rods, nodes), zeros(wp.vec3d, rods, count, nodes)
+        out = zeros(wp.float64, rods * count, batch.dof_count)
+        batch.launch(
+            elastic_tangents,
+            (rods, nodes - 1, count // each),
+            [*arrays(model, 1), *arrays(moved, 2), batch.every_rod, zeros(wp.vec3d, rods)]
+            + [wp.ones(rods, dtype=wp.float64, device=device), state.dof, state.director]
+            + [state.reference_twist, past, past, flow, flow, each],
+            [out],
+        )
+        return -out.numpy().reshape(rods, count, -1)
+
+    def _add_coupling_rate(self, coupling_rate, rate: dict, out: np.ndarray) -> None:
+        """What the coupling of bending with twist adds to a column of `_gradient_rates`.
 
         It is linear in the coupling and quadratic along the rates of both natural strains, so that
         central differences are exact there; along that of the rest length they are good to 1e-8.
@@ -196,7 +192,7 @@ class Sensitivity:
         def add(number, factor, **moved):
             """`factor` times the gradient with some of the model's arrays in other values."""
             arrays = [moved.get(n, a) for n, a in model.items()]
-            part = wp.zeros_like(out)
+            part = wp.zeros_like(batch.derivatives.gradient)
             state = batch.state
             batch.launch(
                 bend_twist_energy,
@@ -205,13 +201,13 @@ class Sensitivity:
                 + [state.dof, state.director, state.reference_twist, 1],
                 [wp.zeros_like(batch.derivatives.energy), part, batch.derivatives.hessian],
             )
-            out.assign(out.numpy() + factor * part.numpy())
+            out[:] += factor * part.numpy()
 
         if coupling_rate.any():
             add(wp.array(coupling_rate, dtype=wp.vec2d, device=device), 1.0)
         for _, coupling in batch.energies:
             for moving, least in ((("natural_curvature", "natural_twist"), 1.0), (names[:1], 1e-4)):
-                rates = {n: rate[n].numpy() for n in moving}
+                rates = {n: rate[n] for n in moving}
                 largest = max(np.abs(r).max() for r in rates.values())
                 if largest == 0.0:
                     continue
@@ -250,3 +246,8 @@ class Sensitivity:
         rate = np.zeros((len(step), load.shape[1], 4))
         rate[:, :, :3] = load
         return rate.reshape(len(step), -1)[:, :-1]
+
+
+def _rates_of(columns: Sequence[np.ndarray]) -> np.ndarray:
+    """(rod, column, ...) imaginary parts of (rod, ...) of every column, per `COMPLEX_STEP`."""
+    return np.stack([np.imag(one) for one in columns], axis=1) / COMPLEX_STEP
