@@ -72,3 +72,28 @@ def test_a_profile_about_an_effect_without_components_is_the_effect():
     )
     for name in ("bending", "twisting", "stretching"):
         assert np.array_equal(getattr(by_line, name), getattr(by_profile, name))
+
+
+@pytest.mark.parametrize(
+    ("kind", "law", "constant"),
+    [
+        ("curvature", "natural_curvature", None),
+        ("stiffness", "stiffness_gradient", "stiffness"),
+        ("weight", "density_profile", "density"),
+    ],
+)
+def test_a_profile_knows_the_law_that_it_comes_near_to(kind, law, constant):
+    """What it tells of a law is the law, in the law's own components, and so is its special case."""
+    m = by_a_line("stiffness_gradient")[0].measurements
+    values, known = np.array([0.3, -0.2]), effects()
+    width = 2 if kind == "curvature" else 1
+    effect = ProfileEffect(kind, np.zeros((KNOTS, width, 1)), known[law])
+    values = np.append(values, 0.7)
+    cases = effect.special_cases(values, m)
+    assert cases[law] == pytest.approx(values[:2]) and set(cases) == {law, constant} - {None}
+    told = [e.value for e in effect.describe(values, np.eye(3), m).values()]
+    if constant is None:
+        assert told[:2] == pytest.approx(values[:2])
+    else:
+        assert np.exp(cases[constant]) == pytest.approx(1.05)
+        assert told[:3] == pytest.approx([1.3, 1.05, 0.8])

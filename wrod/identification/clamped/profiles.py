@@ -77,7 +77,7 @@ class _Kind:
 
 
 def _curvature_told(setup, base):
-    return setup.natural_curvature[:, ::-1] * np.array([-1.0, 1.0])
+    return setup.natural_curvature
 
 
 def _stiffness_told(setup, base):
@@ -147,21 +147,34 @@ class ProfileEffect(Effect):
         profile = hats(setup.fraction, KNOTS) @ (self.basis @ np.asarray(values[first:]))
         KINDS[self.kind].apply(setup, profile)
 
+    def _told(self, values, measurements) -> np.ndarray:
+        """(KNOTS, width) what the rod has of the quantity."""
+        base = ClampedSetup.base(measurements, measurements.train[:1], KNOTS - 1)
+        setup = copy.copy(base)
+        self.apply(setup, values)
+        return KINDS[self.kind].told(setup, base)
+
+    def special_cases(self, values, measurements):
+        """The constant and the straight line nearest to it."""
+        told = self._told(values, measurements)
+        slope, first = np.polyfit(np.linspace(0.0, 1.0, KNOTS), told[:, 0], 1)
+        ends, mean = np.array([first - 1.0, first + slope - 1.0]), told.mean(axis=0)
+        ends = np.maximum(ends, -0.9)
+        factor = np.log(np.maximum(mean[:1], 0.1))
+        return {
+            "curvature": {"natural_curvature": mean},
+            "stiffness": {"stiffness": factor, "stiffness_gradient": ends},
+            "weight": {"density": factor, "density_profile": ends},
+        }.get(self.kind, {})
+
     def describe(self, values, covariance, measurements):
         """What the rod has of the quantity at every knot, the ends and the middle first."""
-        kind = KINDS[self.kind]
-        base = ClampedSetup.base(measurements, measurements.train[:1], KNOTS - 1)
-
-        def told(moved):
-            setup = copy.copy(base)
-            self.apply(setup, moved)
-            return kind.told(setup, base)
-
-        steps = 1j * COMPLEX_STEP * np.eye(len(values))
-        rates = np.stack([told(values + step).imag / COMPLEX_STEP for step in steps], axis=2)
+        kind, steps = KINDS[self.kind], 1j * COMPLEX_STEP * np.eye(len(values))
+        moved = [self._told(values + step, measurements).imag for step in steps]
+        rates = np.stack(moved, axis=2) / COMPLEX_STEP
         error = np.sqrt(np.einsum("kwp,pq,kwq->kw", rates, covariance, rates))
         places = np.linspace(0.0, measurements.material.length, KNOTS)
-        found, middle = told(values), KNOTS // 2
+        found, middle = self._told(values, measurements), KNOTS // 2
         return {
             f"{key}_at_{1e3 * places[k]:.0f}_mm": Estimate(
                 float(found[k, w]), float(error[k, w]), kind.unit
@@ -298,11 +311,13 @@ def likeliest(kind: str, width: int, gram: np.ndarray, projected: np.ndarray) ->
     return best[1]
 
 
-def built_effects(laboratory) -> tuple[list[Effect], list[Found]]:
+def built_effects(laboratory, above: float = -np.inf) -> tuple[list[Effect], list[Found]]:
     """The described effects that the profiles ask for, each with its starts, and the profiles, best
-    first."""
+    first; none at all where no profile's log evidence is above that [nats]."""
     linear = _linearised(laboratory)
     found = profiles_of(linear)
+    if found[0].evidence <= above:
+        return [], []
     gap = laboratory.measurements.material.length / (KNOTS - 1)
     inner = range(1, KNOTS - 1)
     bends = [

@@ -150,5 +150,5 @@ def _weighed(laboratory: Laboratory, poor: Fit, rich: Fit, evidence: float) -> t
     said = reason or (
         f"the log evidence of a profile is {evidence:.1f}, held-out error {1e3 * ahead:.3f} mm"
     )
-    accepted = None if reason else rich.model.names
-    return Round(poor.model.names, rich, [rich], [evidence], accepted, said), float(ahead)
+    accepted, stays = (None, "another law along the rod") if reason else (rich.model.names, "")
+    return Round(poor.model.names, rich, [rich], [evidence], accepted, said, stays), float(ahead)

@@ -198,9 +198,7 @@ def _built(laboratory: Laboratory, singles: list[Fit], above: float = -np.inf) -
     Args:
         singles: effects alone, best first.
     """
-    built, found = built_effects(laboratory)
-    if found[0].evidence <= above:
-        return []
+    built, found = built_effects(laboratory, above)
     seen = [f for f in found[:2] if f.evidence > BIC_MARGIN and f.basis.size]
     return [*built, *(profile_of(laboratory, singles, f) for f in seen)]
 

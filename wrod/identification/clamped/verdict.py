@@ -22,7 +22,11 @@ UNSEEN_GAIN, UNSEEN_ERRORS = 4.0, 2.0
 
 @dataclass
 class Round:
-    """One step of the selection: every candidate for the next model, best first."""
+    """One step of the selection: every candidate for the next model, best first.
+
+    Attributes:
+        stays: what was not accepted and may be all the same, for people.
+    """
 
     current: tuple[str, ...]
     best: Fit
@@ -30,6 +34,7 @@ class Round:
     gains: list[float]
     accepted: tuple[str, ...] | None
     reason: str
+    stays: str = ""
 
 
 @dataclass
@@ -229,6 +234,11 @@ def _confounded(laboratory: Laboratory, fit: Fit, rounds: list[Round]) -> list[d
         {"effects": [e.name, e.alike], "evidence": "they load the rod alike in every trial"}
         for e in fit.model.effects
         if e.alike
+    ]
+    found += [
+        {"effects": [" + ".join(step.current), step.stays], "evidence": step.reason}
+        for step in rounds
+        if step.stays and step.current == fit.model.names
     ]
     compared = [
         (step.fits, own)
