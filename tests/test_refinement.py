@@ -83,7 +83,7 @@ def test_a_profile_about_an_effect_without_components_is_the_effect():
     ],
 )
 def test_a_profile_knows_the_law_that_it_comes_near_to(kind, law, constant):
-    """What it tells of a law is the law, in the law's own components, and so is its special case."""
+    """What it tells of a law is the law in its own components, and so is its special case."""
     m = by_a_line("stiffness_gradient")[0].measurements
     values, known = np.array([0.3, -0.2]), effects()
     width = 2 if kind == "curvature" else 1
