@@ -87,7 +87,9 @@ def test_predictions_are_of_second_order(bent):
         seen["frame"] = frame
         return position
 
-    quiet = measured(hanging(ROD, trials=4), replace(world_of(rod, ROD), see=see), noise=0.0)
+    quiet = measured(
+        hanging(ROD, trials=4), replace(world_of(rod, ROD), see=see), noise=0.0, wrench_noise=False
+    )
     measurements = measurements_from_arrays(quiet)
 
     def errors(edges):

@@ -288,6 +288,7 @@ def measured(
     *,
     seed: int = 0,
     noise: float = 5e-4,
+    wrench_noise: bool = True,
     steps: int = 10,
 ) -> dict[str, Any]:
     """A set of measurements of the rod and at the poses in `data` (fields of a measured file).
@@ -295,8 +296,8 @@ def measured(
     Args:
         data: everything but what is measured.
         experiment: what the rod is really like.
-        seed: of the noise; noise: standard deviation of a marker coordinate [m]; without it the
-            wrench has none either.
+        seed: of the noise; noise: standard deviation of a marker coordinate [m]; wrench_noise:
+            whether the wrist sensor has its own.
         steps: in which the effect grows from nothing, so that rods stay on their branch; halved
             where a rod does not follow.
 
@@ -358,7 +359,7 @@ def measured(
     position = experiment.see(np.array(positions), np.array(frames))
     position = position + noise * rng.normal(size=position.shape)
     wrench = {"grip_force": (np.array(forces), 2e-3), "grip_torque": (np.array(torques), 2e-4)}
-    if noise > 0.0:
+    if wrench_noise:
         for values, least in wrench.values():
             values += np.hypot(0.02 * values, least) * rng.normal(size=values.shape)
     return {**data, "centerline": position} | {key: values for key, (values, _) in wrench.items()}
