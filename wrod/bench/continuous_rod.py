@@ -296,8 +296,7 @@ def measured(
     Args:
         data: everything but what is measured.
         experiment: what the rod is really like.
-        seed: of the noise; noise: standard deviation of a marker coordinate [m]; wrench_noise:
-            whether the wrist sensor has its own.
+        seed, noise: of marker coordinates [m]; wrench_noise: whether the wrist sensor has its own.
         steps: in which the effect grows from nothing, so that rods stay on their branch; halved
             where a rod does not follow.
 
