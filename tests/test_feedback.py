@@ -217,7 +217,11 @@ def test_finished_rows_are_kept_and_ratios_stand_beside_them(tmp_path, monkeypat
     assert first.exit_code == 0 and asked == [("none", "blind")], first.output
     both = run(*arguments, "none,friction")
     assert len(asked) == len(set(asked)) == 4
-    assert "halved: blind 0.300 (1.50, 1.50), followed 0.030 (1.50, 0.15)" in both.output
+    assert "| friction halved | 0.300 (1.50) |" in both.output
+    assert "| friction halved | 0.030 (1.50) |" in both.output
+    # What is finished is told, and nothing else is laid.
+    told = run(*arguments, "none,friction,half", "--finished")
+    assert len(asked) == 4 and "| friction halved | 0.030 (1.50) |" in told.output
     refused("other settings", *arguments, "none", "--every", "0.1")
 
 

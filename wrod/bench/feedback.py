@@ -1,5 +1,6 @@
 """`wrod bench feedback`: what looking at the laid rod saves where the rod is not as believed."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -58,6 +59,7 @@ _FIRST_SEED = 9_000
 @click.option("--horizon", default=10.0, show_default=True,
               help="How far ahead the path is corrected after a look [L_gb].")  # fmt: skip
 @click.option("--undisturbed", is_flag=True, help="The effect alone, without shaking and the rest.")
+@click.option("--finished", is_flag=True, help="Tell what is finished in OUT, and lay nothing.")
 @click.option("--workers", default=1, show_default=True,
               help="Processes.")  # fmt: skip
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
@@ -66,7 +68,7 @@ _FIRST_SEED = 9_000
 @cost.force_option
 def command(
     rods: str, names: str, effects: str, ways: str, seeds: int, seed: int, out: Path, workers: int,
-    device: str, **how,
+    device: str, finished: bool, **how,
 ) -> None:  # fmt: skip
     """Lay patterns with rods and tables that differ from the plan's, blindly and looking on.
 
@@ -94,7 +96,10 @@ def command(
         (*place, effect, way, one)
         for one, way, effect, place in product(range(seed, seed + seeds), asked, chosen, places)
     ]
-    jobs = [(shelf, key, how) for key in ledger.lacking(keys)]
+    lacking = ledger.lacking(keys)
+    if finished:
+        keys, lacking = [key for key in keys if key not in lacking], []
+    jobs = [(shelf, key, how) for key in lacking]
     unplanned = sorted({job[1][:2] for job in jobs})
     looking = sum(key[3] != "blind" for _, key, _ in jobs)
     seconds = cost.CORRECTED_PLAN * len(unplanned) + cost.LOOKING_ON * looking
@@ -106,17 +111,57 @@ def command(
     courses.run(_course, jobs, lambda _, row: ledger.add([row]), device=device, workers=workers)
     rows = ledger.of(keys)
     table = summary(rows)
-    trials = len(places) * seeds
     tell(
         {"rows": rows, "table": table, "written": [str(ledger.path)]},
-        f"friction {how['friction']:g} believed; mean of {trials} trials, e_mean [cm]",
-        "in brackets: over the same way's and over the blind trials without an effect",
-        *(
-            f"{EFFECTS[line['effect']]}: " + ", ".join(map(_told, line["ways"].items()))
-            for line in table
-        ),
+        f"friction {how['friction']:g} believed; e_mean [cm] of each trial, and in brackets their "
+        "mean over that of the same trials without an effect",
+        *table_told(table, asked),
         *_looks_told(rows),
     )
+
+
+def summary(rows: list[dict]) -> list[dict]:
+    """Errors [cm] of the trials of each effect, rod, pattern and way, by their seeds; their mean;
+    and its ratio to the mean of the same trials without an effect (None where one is not there)."""
+    cells: dict[tuple, dict[int, float]] = {}
+    for row in rows:
+        key = row["effect"], row["rod"], row["pattern"], row["way"]
+        cells.setdefault(key, {})[row["seed"]] = row["error_mean"]
+    table = []
+    for (effect, *cell), errors in cells.items():
+        base = cells.get(("none", *cell), {})
+        mean, over = float(np.mean(list(errors.values()))), None
+        if errors.keys() <= base.keys():
+            over = mean / float(np.mean([base[seed] for seed in errors]))
+        named = dict(zip(("effect", "rod", "pattern", "way"), (effect, *cell), strict=True))
+        table.append(named | {"errors": errors, "error_mean": mean, "over_none": over})
+    return table
+
+
+def table_told(table: list[dict], ways: Sequence[str]) -> list[str]:
+    """The lines of a table of effects by patterns for each way, in Markdown."""
+    lines = []
+    for way, rod in product(ways, dict.fromkeys(one["rod"] for one in table)):
+        cells = {
+            (one["effect"], one["pattern"]): one
+            for one in table
+            if (one["way"], one["rod"]) == (way, rod)
+        }
+        names = list(dict.fromkeys(name for _, name in cells))
+        lines += ["", " | ".join([f"| {rod}, {way}", *names]) + " |"]
+        lines.append("| --- " * (len(names) + 1) + "|")
+        for effect in dict.fromkeys(effect for effect, _ in cells):
+            told = [_told(cells.get((effect, name))) for name in names]
+            lines.append(" | ".join([f"| {EFFECTS[effect]}", *told]) + " |")
+    return lines
+
+
+def _told(cell: dict | None) -> str:
+    if cell is None:
+        return "-"
+    errors = ", ".join(f"{cell['errors'][seed]:.3f}" for seed in sorted(cell["errors"]))
+    over = cell["over_none"]
+    return errors if over is None or cell["effect"] == "none" else f"{errors} ({over:.2f})"
 
 
 def _looks_told(rows: list[dict]) -> list[str]:
@@ -130,33 +175,6 @@ def _looks_told(rows: list[dict]) -> list[str]:
         f"{len(looks)} looks took {np.median(seconds):.1f} s of a processor each (median; at most "
         f"{max(seconds):.1f}), for the beliefs and the path; the grip went back {back} times"
     ]
-
-
-def _told(column: tuple[str, dict]) -> str:
-    way, one = column
-    said = ["-" if one[k] is None else f"{one[k]:.2f}" for k in ("over_same", "over_blind")]
-    return f"{way} {one['error_mean']:.3f} ({', '.join(said)})"
-
-
-def summary(rows: list[dict]) -> list[dict]:
-    """Mean error [cm] of each effect and way, and its ratio to the way's own mean without an effect
-    and to the blind one (None where these are not there)."""
-    errors: dict[tuple[str, str], list[float]] = {}
-    for row in rows:
-        errors.setdefault((row["effect"], row["way"]), []).append(row["error_mean"])
-    means = {key: float(np.mean(values)) for key, values in errors.items()}
-
-    def over(key: tuple[str, str], base: tuple[str, str]) -> float | None:
-        return means[key] / means[base] if means.get(base) else None
-
-    table: dict[str, dict] = {}
-    for key, mean in means.items():
-        table.setdefault(key[0], {})[key[1]] = {
-            "error_mean": mean,
-            "over_same": over(key, ("none", key[1])),
-            "over_blind": over(key, ("none", "blind")),
-        }
-    return [{"effect": effect, "ways": ways} for effect, ways in table.items()]
 
 
 @cache
