@@ -186,7 +186,7 @@ def following(
     sight = sight or Sight()
     rng = np.random.default_rng(sight.seed)
     beliefs, beside = Beliefs(pattern, rod, friction, hold), Beside()
-    way = Way(trajectory)
+    way = Way(trajectory).followed_by_tail(pattern, sight.hidden)
 
     def really(path: Trajectory, **more) -> Course[Laid]:
         how = plant.disturbance
@@ -214,7 +214,8 @@ def following(
     way, beliefs.placed, kept = yield from now.begun()
     looks.append(_look(beliefs, path, gone, misfit, process_time() - began, kept, None))
     while gone < way.end:
-        # The last look comes at the end of the way: what nobody sees, nobody lays anew.
+        # The last look comes at the end of the way, which goes on for as much of the tail as the
+        # arm hides: what nobody sees, nobody lays anew.
         gone = gone + every if gone + 1.5 * every < way.end else way.end
         path, at = way.until(gone).path, way.laid_at(gone)
         lies = yield from really(path)

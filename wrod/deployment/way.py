@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from wrod.deployment.corrections import Corrections
 from wrod.patterns.pattern import Pattern
+from wrod.planning.tail import with_tail
 from wrod.planning.trajectory import Trajectory
 
 # Over how long a way the grip turns round, and how far apart its new poses are [m].
@@ -27,6 +28,11 @@ class Way:
 
     def __init__(self, path: Trajectory, laid: np.ndarray | None = None):
         self.path, self.laid = path, path.arc_length if laid is None else laid
+
+    def followed_by_tail(self, pattern: Pattern, length: float) -> Way:
+        """The way, and so much of the tail after it [m], as far as there is one."""
+        longer = with_tail(self.path, pattern)
+        return self if longer is None else Way(longer).until(self.end + length + 1e-9)
 
     @property
     def end(self) -> float:
