@@ -47,7 +47,7 @@ _LONGER, _KEPT_PROMISE = 2.0, 0.5
 # Steps of a plan at least, and at most: further ones where the last but one saved this part of the
 # error. A step from so near [L_gb] is not laid by itself: what more steps save from there on, on
 # fine meshes too, unseen rods do not feel.
-_STEPS, _MORE, _SAVED, _NEAR = 2, 6, 0.2, 0.1
+_STEPS, _MORE, _SAVED, _NEAR = 2, 6, 0.2, 0.06
 # Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
 _TOLERANCE = 5e-3
 # Numbers of nodes are multiples of this, so that a GPU lays many plans in few batches.
@@ -55,11 +55,12 @@ _ALIKE = 16
 # An iteration that leaves more than this part of the error is the last, and one that would by its
 # model, of squares, is not tried.
 _DONE = 0.95
-# An error of more than this to begin with [L_gb] is far. Then each time so much more of the pattern
-# counts [L_gb], fading out over the second length, for so many steps at most, and rods are laid so
-# far beyond: an early bend that springs off moves all that comes after it, which says nothing of
-# later ones. Corrections may be large, and cost this part of what they cost otherwise.
-_FAR, _STRETCH, _FADE, _EACH, _BEYOND, _CHEAP = 0.3, 3.0, 0.5, 4, 2.0, 0.1
+# An error of more than this after such steps [L_gb] is far. Then all begins anew, and each time so
+# much more of the pattern counts [L_gb], fading out over the second length, for so many steps at
+# most, and rods are laid so far beyond: an early bend that springs off moves all that comes after
+# it, which says nothing of later ones. Corrections may be large, and cost this part of what they
+# cost otherwise.
+_FAR, _STRETCH, _FADE, _EACH, _BEYOND, _CHEAP = 0.2, 3.0, 0.5, 4, 2.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -244,11 +245,17 @@ def sample_of(
 def descend(problem: Problem, ahead: bool) -> Course[tuple[list[State], list[np.ndarray]]]:
     """Corrections from none on, each better than the last or tried in vain; with `ahead` the last
     of them is not laid but comes beside the others."""
-    best = yield from problem.at(np.zeros(3 * problem.corrections.count))
-    states, radius, last = [best], _STEP, False
-    if best.measure > _FAR * problem.corrections.lgb:
+    states = [(yield from problem.at(np.zeros(3 * problem.corrections.count)))]
+    last = yield from _steps(problem, states, ahead)
+    if min(one.measure for one in states) > _FAR * problem.corrections.lgb:
         states.append((yield from _bend_by_bend(problem)))
-        best = min(states, key=lambda one: one.measure)
+        last = yield from _steps(problem, states, ahead)
+    return states, last
+
+
+def _steps(problem: Problem, states: list[State], ahead: bool) -> Course[list[np.ndarray]]:
+    """Adds what further steps from the best of the states come to."""
+    best, radius, last = min(states, key=lambda one: one.measure), _STEP, False
     for k in range(1, _MORE + 1):
         step, damped = best.step(radius)
         saved = best.saved(step)
@@ -257,7 +264,7 @@ def descend(problem: Problem, ahead: bool) -> Course[tuple[list[State], list[np.
         near = best.measure < _NEAR * problem.corrections.lgb
         last |= k == _MORE or (k >= _STEPS and near)
         if ahead and last:
-            return states, [best.values + step]
+            return [best.values + step]
         tried = yield from problem.at(best.values + step)
         states.append(tried)
         last |= k >= _STEPS and tried.measure > (1.0 - _SAVED) * best.measure
@@ -265,7 +272,7 @@ def descend(problem: Problem, ahead: bool) -> Course[tuple[list[State], list[np.
         best, radius = _better(best, tried, step, radius, damped)
         if idle or (last and not ahead) or not radius > _SHORTEST:
             break
-    return states, []
+    return []
 
 
 def _bend_by_bend(problem: Problem) -> Course[State]:
