@@ -116,11 +116,11 @@ def test_what_a_network_lays_is_kept_once_a_round(tmp_path, monkeypatch):
 def test_models_of_the_error_say_what_a_network_lays(monkeypatch):
     """By a grip that is 0.1 mm ahead or behind all the way, more of which the rod answers to with
     sliding; where it is not, what lies is what lay."""
-    from wrod.deployment import optimise
+    from wrod.deployment import descent
     from wrod.deployment.together import follow
 
-    tight = replace(optimise.COARSE, tolerance=1e-5)
-    monkeypatch.setattr(optimise, "COARSE", tight)
+    tight = replace(descent.COARSE, tolerance=1e-5)
+    monkeypatch.setattr(descent, "COARSE", tight)
     (one,) = follow([plans.solve(0, 0)], hold=0.05)
     assert one.errors[1] < 0.5 * one.errors[0]
     values = {}
