@@ -9,10 +9,18 @@ import pytest
 from cli import done
 
 import wrod
+from wrod.commands.plan_summary import _expectation
 from wrod.deployment import descent, together
 from wrod.deployment.corrections import Corrections, pace_of
 from wrod.deployment.descent import State, Task, descend
-from wrod.deployment.expectation import Unseen, balanced, expect, is_better, robot_error
+from wrod.deployment.expectation import (
+    Unseen,
+    balanced,
+    expect,
+    is_better,
+    robot_error,
+    rougher,
+)
 from wrod.deployment.optimise import _fastest, best_of, course, optimise
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
@@ -74,6 +82,23 @@ def test_the_command_says_what_is_expected(bend, tmp_path):
     assert expected["mean"] > 0.005 and expected["holds_from"] is None
     again = wrod.plan(bend[0], ROD, "intuitive", spacing=0.01, remainder=False, expect=True)
     assert again.metadata["expected"]["mean"] == pytest.approx(expected["mean"], rel=0.05)
+
+
+def test_what_cannot_be_laid_is_told_with_the_friction_that_it_takes(bend):
+    pattern, trajectory = bend
+    expected = expect(pattern, ROD, trajectory, 0.1, trials=2, coarse=True)
+    assert expected["off"] and all(least is None for *_, least in expected["off"])
+    (needed,) = together.follow([rougher(pattern, ROD, [trajectory], expected)])
+    assert len(needed) == len(expected["off"]) and 0.1 < max(needed) <= 0.55
+    (held,) = together.follow([rougher(pattern, ROD, [trajectory], expected | {"off": []})])
+    assert held == []
+    lines = "\n".join(_expectation(expected, None))
+    assert "m, up to the largest friction asked for" in lines
+    said = dict(errors=[0.1, 0.1], kept=False, pace=0.04, largest_correction=0.0, rougher=needed)
+    lines = "\n".join(_expectation(expected, said))
+    assert f"m, and can be laid from friction {needed[0]:.2g} on" in lines
+    none = said | {"rougher": [None] * len(needed)}
+    assert "and on rougher tables that were tried" in "\n".join(_expectation(expected, none))
 
 
 def test_columns_are_what_corrections_do(bend):

@@ -108,7 +108,8 @@ def _expectation(expected: dict, optimised: dict | None) -> list[str]:
     if expected["slides"]:
         places = ", ".join(f"{a:.3f} to {b:.3f}" for a, b in expected["slides"])
         lines.append(f"slides by more than 1 mm while it is laid at s = {places} m")
-    beyond = (optimised or {}).get("rougher") or [None] * len(expected["off"])
+    rougher = (optimised or {}).get("rougher")
+    beyond = rougher or [None] * len(expected["off"])
     for (start, stop, least), needed in zip(expected["off"], beyond, strict=True):
         if least is not None:
             until = f" below friction {least:.2f}"
@@ -116,6 +117,7 @@ def _expectation(expected: dict, optimised: dict | None) -> list[str]:
             until = f", and can be laid from friction {needed:.2g} on"
         else:
             until = ", up to the largest friction asked for"
+            until += " and on rougher tables that were tried" if rougher else ""
         lines.append(
             f"lies off the pattern by more than 5 mm at s = {start:.3f} to {stop:.3f} m{until}"
         )

@@ -124,12 +124,12 @@ def rougher(
 ) -> Course[list[float | None]]:
     """For each stretch of what `expect` says is "off", the least of a few larger frictions from
     which on the undisturbed rod stays within 5 mm there by one of these trajectories; None: none
-    up to 2, or the stretch holds from a friction that was asked for."""
+    up to 2, or the stretch holds from a friction that was asked for. Empty where none was tried."""
     lost = [least is None for *_, least in expected["off"]]
     mus = expected["friction"][-1] * np.array(_ROUGHER)
     mus = mus[mus <= _ROUGHEST]
     if not (any(lost) and len(mus)):
-        return [None] * len(lost)
+        return []
     trials = [
         Trial(pattern, rod, path, Friction(mu), tail=Tail.none(path))
         for path in trajectories
