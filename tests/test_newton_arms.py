@@ -197,3 +197,34 @@ def test_heavy_bodies_of_other_solvers_press_no_cable_through_the_ground(mass):
 def test_steps_that_shake_a_light_body_are_spoken_of():
     with pytest.warns(WrodWarning, match="gets their load a step late"):
         pressed(0.14, substeps=4, frames=4)
+
+
+@pytest.mark.skipif(DEVICE != "cpu", reason="a GPU is not asked")
+def test_links_that_were_nowhere_yet_are_spoken_of():
+    """A link without a place is at the origin until kinematics are evaluated, also for what it
+    holds."""
+    for evaluated in (False, True):
+        builder = newton.ModelBuilder()
+        wrod.SolverDER.register_custom_attributes(builder)
+        link = builder.add_link(mass=0.5, inertia=wp.mat33(np.eye(3) * 1e-3))
+        start = wp.transform((0.0, 0.0, 0.6), wp.quat_identity())
+        turn = builder.add_joint_revolute(-1, link, axis=wp.vec3(0.0, 1.0, 0.0), parent_xform=start)
+        builder.add_articulation([turn])
+        points = np.linspace(0.0, 0.2, 6)[:, None] * [1.0, 0.0, 0.0] + [0.0, 0.0, 0.6]
+        rod = wrod.rod("green-vps")
+        wrod.SolverDER.add_rod(
+            builder, points, rod, start="clamped", start_body=link, visible=False
+        )
+        model = builder.finalize(device=DEVICE)
+        state = model.state()
+        if evaluated:
+            newton.eval_fk(model, model.joint_q, model.joint_qd, model)
+        newton.eval_fk(model, model.joint_q, model.joint_qd, state)
+        cable = wrod.SolverDER(model)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", WrodWarning)
+            cable.step(state, state, None, None, 1e-3)
+        told = any("begins 0.6 m from where body" in str(one.message) for one in said)
+        assert told == (not evaluated)
+        held = np.linalg.norm(state.der.node_q.numpy()[0] - [0.0, 0.0, 0.6])
+        assert held < 1e-6 or not evaluated

@@ -4,8 +4,11 @@ import warnings
 
 import newton
 import numpy as np
+import warp as wp
+from scipy.spatial.transform import Rotation
 
 from wrod.errors import RodError, WrodWarning
+from wrod.newton_solver.holds import Holds
 
 
 def _say(text: str) -> None:
@@ -33,6 +36,28 @@ def rods_of_long_ago() -> None:
         "state; other solvers do not carry rods over. Where one has written bodies into "
         "`other`, call step(state, other, control, contacts, dt, moved=other)"
     )
+
+
+def begins_elsewhere(model: newton.Model, holds: Holds, rods: wp.array, poses: wp.array) -> None:
+    """Look, in the memory of a CPU, whether rods begin farther than an edge from what holds them:
+    links are where their joints have them only once kinematics were evaluated."""
+    der, nodes, bodies = model.der, rods.numpy(), poses.numpy().astype(float)
+    first, longest = der.rod_first_node.numpy(), der.edge_rest_length.numpy().max()
+    for rod in range(len(first)):
+        for h in holds.of(rod):
+            if h.body < 0:
+                continue
+            pose = bodies[h.body]
+            place = pose[:3] + Rotation.from_quat(pose[3:]).apply(h.position)
+            gap = float(np.linalg.norm(place - nodes[first[rod] + h.node]))
+            if gap > longest:
+                _say(
+                    f"rod {rod} begins {gap:.3g} m from where body {model.body_label[h.body]!r} "
+                    "holds it: as model.body_q had it when the solver was made. Bring that to "
+                    "where joints have it before: newton.eval_fk(model, model.joint_q, "
+                    "model.joint_qd, model)"
+                )
+                return
 
 
 def nobody_feels(model: newton.Model, bodies) -> None:
