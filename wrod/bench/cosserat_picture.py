@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+import numpy as np
+
 from wrod.files import write_figure
 
 _LOOKS = {
@@ -55,8 +57,14 @@ def _panel(axes, rows: list[dict], metric: str) -> list[str]:
         elif mine:
             said = mine[0]["said"][:60].replace("$", r"\$")  # it would be mathematics
             absent.append(f"{solver}: {said}")
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    for scale, axis in ((axes.set_xscale, axes.xaxis), (axes.set_yscale, axes.yaxis)):
+        scale("log")
+        # Labels within a decade run into each other: whole decades, and no others.
+        axis.set_minor_formatter("")
+        low, high = axis.get_data_interval()
+        if low < high:
+            ends = 10.0 ** np.array([np.floor(np.log10(low)), np.ceil(np.log10(high))])
+            axis.set_view_interval(*ends, ignore=True)
     if axes.has_data():
         axes.legend(fontsize=7, frameon=False)
     return absent
