@@ -214,13 +214,14 @@ def test_memory_stays_flat(tmp_path, monkeypatch):
     monkeypatch.setattr(dataset, "solve_grasps", fake_grasps)
     generate(tmp_path / "first", 512, shard_size=512, device="cpu", rank=Rank())
     peaks = []
-    for shards in (4, 40):
+    for shards in (8, 200):
         tracemalloc.start()
         generate(tmp_path / str(shards), 512 * shards, shard_size=512, device="cpu", rank=Rank())
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    # A shard that is done leaves its entry in a list, not its rows (which take 100 kB).
-    assert peaks[1] - peaks[0] < 36 * 2_000
+    # A shard that is done leaves its entry in a list, not its rows (which take 100 kB); a few are
+    # in hand at a time.
+    assert peaks[1] - peaks[0] < 192 * 2_000
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -155,10 +156,9 @@ def generate(
     waiting = [shard for shard in mine if shard not in there]
     group_size = 1 if device == "cpu" else max(1, _CUDA_BATCH // shard_size)
     threads = max(1, (os.cpu_count() or 1) // rank.local_count)
-    for first in range(0, len(waiting), group_size):
-        group = waiting[first : first + group_size]
-        for shard, part in _solve(manifest, group, one, device, threads):
-            store.write_shard(folder, manifest, shard, part)
+    groups = [waiting[k : k + group_size] for k in range(0, len(waiting), group_size)]
+    for parts in _solved(manifest, groups, one, device, threads, folder):
+        for part in parts:
             tally.add(part, solved=True)
     return Outcome(
         tally.samples, tally.solved, tally.unconverged, tally.unstable, time.perf_counter() - start
@@ -191,13 +191,50 @@ class _Tally:
             self.progress(len(converged), self.samples)
 
 
+def _solved(
+    manifest: store.Manifest,
+    groups: list[list[int]],
+    one: RodInputs | None,
+    device: str,
+    threads: int,
+    folder: Path,
+) -> Iterator[list[dict]]:
+    """Columns of groups of shards, as they have been written. While one is solved, the one before
+    is written and the one after sampled: both would keep a GPU waiting."""
+
+    def inputs(group: list[int]) -> np.ndarray:
+        return np.concatenate([sample(*manifest.rows(k), manifest.seed, one) for k in group])
+
+    def write(parts: list[tuple[int, dict]]) -> list[dict]:
+        for shard, part in parts:
+            store.write_shard(folder, manifest, shard, part)
+        return [part for _, part in parts]
+
+    with ThreadPoolExecutor(1) as sampler, ThreadPoolExecutor(1) as writer:
+        sampled = [sampler.submit(inputs, group) for group in groups[:1]]
+        written: list[Future] = []
+        for k, group in enumerate(groups):
+            values = sampled.pop().result()
+            sampled += [sampler.submit(inputs, after) for after in groups[k + 1 : k + 2]]
+            parts = _solve(manifest, group, values, one, device, threads)
+            if written:
+                yield written.pop().result()
+            written.append(writer.submit(write, parts))
+        if written:
+            yield written.pop().result()
+
+
 def _solve(
-    manifest: store.Manifest, shards: list[int], one: RodInputs | None, device: str, threads: int
-) -> Iterator[tuple[int, dict]]:
-    """Shards solved at once, and the columns of each."""
+    manifest: store.Manifest,
+    shards: list[int],
+    inputs: np.ndarray,
+    one: RodInputs | None,
+    device: str,
+    threads: int,
+) -> list[tuple[int, dict]]:
+    """Shards solved at once, of their inputs, and the columns of each."""
     curved = one is not None and not one.is_straight
     own = {"natural_curvature": one.natural_curvature, "poisson": one.poisson} if curved else {}
-    inputs = np.concatenate([sample(*manifest.rows(k), manifest.seed, one) for k in shards])
     grasps = solve_grasps(
         *inputs.T,
         closure=manifest.closure,
@@ -208,11 +245,13 @@ def _solve(
         **own,
         threads=threads,
     )
-    columns, begin = _columns(inputs, grasps, manifest), 0
+    columns, begin, parts = _columns(inputs, grasps, manifest), 0, []
     for shard in shards:
         rows = manifest.rows(shard)[1]
-        yield shard, {name: column[begin : begin + rows] for name, column in columns.items()}
+        part = {name: column[begin : begin + rows] for name, column in columns.items()}
+        parts.append((shard, part))
         begin += rows
+    return parts
 
 
 def _columns(inputs: np.ndarray, grasps: Grasps, manifest: store.Manifest) -> dict:
