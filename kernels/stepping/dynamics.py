@@ -83,11 +83,13 @@ def start_newton(
     c = pace.coefficient[r]
     rate = c[0] / dt
     for a in range(lane, count, wp.block_dim()):
-        force = wp.float64(gradient[r, a])
-        for k in range(0, wp.min(a, HALF_BANDWIDTH) + 1):
-            force += hessian[r, a, k] * (dof[r, a - k] - dof_before[r, a - k])
-        for k in range(1, wp.min(count - 1 - a, HALF_BANDWIDTH) + 1):
-            force += hessian[r, a + k, k] * (dof[r, a + k] - dof_before[r, a + k])
+        way = dof[r, a] - dof_before[r, a]
+        force = gradient[r, a] + hessian[r, a, 0] * way
+        for k in range(1, 11):  # the band; unrolled, for loops wait for each number
+            if a >= k:
+                force += hessian[r, a, k] * (dof[r, a - k] - dof_before[r, a - k])
+            if a + k < count:
+                force += hessian[r, a + k, k] * (dof[r, a + k] - dof_before[r, a + k])
         v = difference(c, dt, dof[r, a], dof_before[r, a], dof_older[r, a])
         acceleration = difference(c, dt, v, velocity[r, a], velocity_older[r, a])
         gradient[r, a] = force + mass[r, a] * (acceleration + air_damping[r] * v)

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import warp as wp
 
+from wrod.kernels.lanes import CROWD, lanes
 from wrod.kernels.stepping import dynamics as kernels
 from wrod.kernels.stepping import newton_iteration as newton
 from wrod.kernels.stepping import pace
@@ -128,11 +129,16 @@ class NewtonSteps(Steps):
             self.motion.prescribe(self.starting, self.time, self.span, self.start)
         if self.bodies is not None:
             self.bodies.begin(self)
-        batch.launch_lanes(
+        count = lanes(batch.device, CROWD)
+        wp.launch(
             kernels.start_newton,
-            [self.mass, self.air_damping, wp.float64(self._growth), int(linear)]
+            dim=(batch.rod_count, count),
+            inputs=[self.mass, self.air_damping, wp.float64(self._growth), int(linear)]
             + [batch.free, self.start.dof, self.dof_older, self.velocity, self.velocity_older],
-            [self.pace, batch.state.dof, batch.derivatives.gradient, batch.derivatives.hessian],
+            outputs=[self.pace, batch.state.dof]
+            + [batch.derivatives.gradient, batch.derivatives.hessian],
+            device=batch.device,
+            block_dim=count,
         )
 
     def _iterate(self, largest: float, smallest: float) -> None:
