@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.bench.continuous_rod import excess_of
 from wrod.grasps.mesh import WEIGHT
+from wrod.grasps.optimal import solve_grasps
 from wrod.rods.law import Linear
 from wrod.rods.model import RodModel
 
@@ -186,13 +187,14 @@ class ContinuumGrasp:
         y = np.concatenate([shape.T, t.T, d.T, m.T, WEIGHT * s[None]])
         self.guess = s, y, -np.asarray(force)
 
-    def continued(self, step=0.4):
+    def continued(self, step=0.4, tolerance=TOLERANCE):
+        """The grasp without tension of the straight uniform rod, turned into the rod's own."""
         size = np.abs(self.section.curvature(np.array([0.0, self.length]))).max()
         size += np.abs(self.section.twist(np.zeros(1))).max()
-        count = max(2, int(np.ceil(size * self.length / step)))
+        count = int(np.ceil(size * self.length / step))
         for share in np.linspace(0.0, 1.0, count + 1)[:-1]:
             self.solve(("tension", 0.0), share, 1e-4)
-        return self.solve(("tension", 0.0))
+        return self.solve(("tension", 0.0), tolerance=tolerance)
 
     def closed(self, closure, near, step=1e-3):
         """The solution of a closure, after `continued`; for the others than zero tension at the
@@ -208,7 +210,7 @@ class ContinuumGrasp:
             high, low = force(reach + step), force(reach - step)
             return high @ high - low @ low
 
-        return self.solve(("reach", brentq(slope, near - 0.02, near + 0.02, xtol=1e-6)))
+        return self.solve(("reach", brentq(slope, near - 5e-3, near + 5e-3, xtol=1e-6)))
 
     def force_jacobian(self, found, rolls, step=1e-3):
         """(3, 3) derivative of the force by the grip's position, the rod clamped at the contact and
@@ -234,3 +236,15 @@ class ContinuumGrasp:
         z = np.cos(self.roll) * d - np.sin(self.roll) * e
         frame = np.stack([t, np.cross(z, t), z], axis=1)
         return end[:3], Rotation.from_matrix(frame), -found.p
+
+
+def uniform_grasp(
+    ls, kappa, ks, natural=(0.0, 0.0), poisson=0.5, *, near=0.0, closure="zero_tension",
+    tolerance=TOLERANCE,
+):  # fmt: skip
+    """Of a uniform isotropic rod: (`ContinuumGrasp`, solution); `near` as in `closed`."""
+    rod = ContinuumGrasp(Section.uniform(ks, natural, poisson), ls, kappa, 0.0)
+    straight = solve_grasps(ls, kappa, ks)
+    rod.start(straight.arc_length[0], straight.shape[0], straight.force[0])
+    found = rod.continued(tolerance=tolerance)
+    return rod, found if closure == "zero_tension" else rod.closed(closure, near)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from continuum_rods import ContinuumGrasp, Section
+from continuum_rods import ContinuumGrasp, Section, uniform_grasp
 from scipy.spatial.transform import Rotation
 
 import wrod
@@ -58,12 +58,20 @@ def order(coarse, fine) -> np.ndarray:
     return np.log2(np.array(coarse) / np.array(fine))
 
 
-def uniform(ls, kappa, ks, natural, poisson, near=0.0, closure="zero_tension"):
-    straight = solve_grasps(ls, kappa, ks)
-    rod = ContinuumGrasp(Section.uniform(ks, natural, poisson), ls, kappa, 0.0)
-    rod.start(straight.arc_length[0], straight.shape[0], straight.force[0])
-    rod.continued()
-    return rod, rod.closed(closure, near)
+@pytest.mark.parametrize(
+    "inputs",
+    [
+        (1.2, 0.7, 300.0),
+        (2.5, 3.3, 8000.0),
+        (6.0, 2.2, 150.0),
+        (14.0, 0.2, 15000.0),
+        (23.0, 1.4, 900.0),
+        (49.0, 2.9, 4000.0),
+    ],
+)
+def test_straight_grasp_of_the_continuum(inputs):
+    rod, found = uniform_grasp(*inputs, tolerance=1e-8)
+    assert max(errors(solve_grasps(*inputs), rod.read(found))) < 2e-3
 
 
 @pytest.mark.parametrize(
@@ -85,7 +93,8 @@ def test_curved_grasp_of_the_continuum(ls, kappa, ks, natural, poisson, closure)
 
     best = solve(128, True)
     assert best.converged.all()
-    rod, found = uniform(ls, kappa, ks, natural, poisson, best.position[0, 0], closure)
+    near = best.position[0, 0]
+    rod, found = uniform_grasp(ls, kappa, ks, natural, poisson, near=near, closure=closure)
     exact = rod.read(found)
     coarse, fine = (errors(solve(edges), exact) for edges in (128, 256))
     assert (order(coarse, fine) > 1.85).all()
@@ -123,7 +132,7 @@ def test_varying_grasp_of_the_continuum(name):
 def test_force_jacobian_of_the_continuum(natural):
     """The contact held, and the grip of a curved rod so that it does not spin about its tangent."""
     inputs = 6.0, 0.8, 600.0, natural, 0.5
-    exact = ContinuumGrasp.force_jacobian(*uniform(*inputs), rolls=not any(natural))
+    exact = ContinuumGrasp.force_jacobian(*uniform_grasp(*inputs), rolls=not any(natural))
     ls, kappa, ks, natural, poisson = inputs
 
     def error(edges, extrapolate=False):
