@@ -31,20 +31,24 @@ def two_sided_rest_lengths(suspended_length: np.ndarray, edge_count: int) -> np.
     Nodes are even in xi = ln(1 + s/a) + c ln((b + l) / (b + l - s)), a smooth map again.
     """
     length = np.asarray(suspended_length, dtype=np.float64)[:, None]
-    top = np.sqrt(1.0 / (WEIGHT * length))
+    end = length + np.sqrt(1.0 / (WEIGHT * length))
+
+    def rate(s):
+        """ds / dxi."""
+        return 1.0 / (1.0 / (_GRADING + s) + _GRIP_SHARE / (end - s))
 
     def share(s):
-        return np.log1p(s / _GRADING) + _GRIP_SHARE * np.log((top + length) / (top + length - s))
+        return np.log1p(s / _GRADING) - _GRIP_SHARE * np.log1p(-s / end)
 
     xi = np.linspace(0.0, 1.0, edge_count + 1) * share(length)
-    low, high = np.zeros_like(xi), np.broadcast_to(length, xi.shape)
-    for _ in range(52):  # bisection to the last bit
-        middle = 0.5 * (low + high)
-        beyond = share(middle) > xi
-        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
-    nodes = 0.5 * (low + high)
-    nodes[:, 0], nodes[:, -1] = 0.0, length[:, 0]
-    return np.diff(nodes, axis=1)
+    s = half = 0.5 * np.broadcast_to(length, xi.shape)
+    for _ in range(16):  # near by bisection
+        half = 0.5 * half
+        s = s + np.where(share(s) > xi, -half, half)
+    for _ in range(4):  # to the last bit by Newton's method
+        s = s - (share(s) - xi) * rate(s)
+    s[:, 0], s[:, -1] = 0.0, length[:, 0]
+    return np.diff(s, axis=1)
 
 
 def node_weights(rest: np.ndarray) -> np.ndarray:
