@@ -29,6 +29,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from hostile import arrays_of, save_arrays
+from strange import STRANGE
 from wrod.scenes import sawyer
 
 import wrod
@@ -126,6 +127,7 @@ WRONG = {
     "bytes array": np.array([b"a"]), "enum": signal.SIGINT, "nested dict": {1: {}},
     "zeros": np.zeros((4, 3)), "huge array": np.full((4, 3), 1e300), "frozen": frozenset({"a"}),
 }  # fmt: skip
+WRONG |= STRANGE
 WRONG["own list"] = own = []
 own.append(own)
 deep: list = []

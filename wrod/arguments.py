@@ -17,7 +17,7 @@ from wrod.errors import DataError, WrodError
 
 _LARGEST = sys.float_info.max
 # Numbers in an array: more would take gigabytes, if only to look whether all are finite.
-_MOST = 2**27
+MOST_NUMBERS = 2**27
 F = TypeVar("F", bound=Callable)
 # Says what is wrong with a value ("must be ..."), or None if nothing is.
 Check = Callable[[Any], str | None]
@@ -54,10 +54,9 @@ def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
             for name, check in wanted.items():
                 if name not in given or given[name] is signature.parameters[name].default:
                     continue
-                wrong = check(given[name])
-                if wrong is not None:
-                    said = shown(given[name])
-                    raise error(f"{_name(function, args)}: {name} is {said}; it {wrong}")
+                said = wrong(check, given[name])
+                if said is not None:
+                    raise error(f"{_name(function, args)}: {name} {said}")
             try:
                 return function(*args, **kwargs)
             except RecursionError:
@@ -77,10 +76,18 @@ def check_fields(one: Any, error: type[WrodError], **checks: Check) -> None:
         error: names class and attribute.
     """
     for name, check in checks.items():
-        value = getattr(one, name)
-        wrong = check(value)
-        if wrong is not None:
-            raise error(f"{type(one).__name__}: {name} is {shown(value)}; it {wrong}")
+        said = wrong(check, getattr(one, name))
+        if said is not None:
+            raise error(f"{type(one).__name__}: {name} {said}")
+
+
+def wrong(check: Check, value: Any) -> str | None:
+    """What is wrong with a value ("is -1; it must be ..."), or None if nothing is."""
+    try:
+        said = check(value)
+    except Exception as reason:  # of an object that says it is what it is not
+        said = f"cannot be looked at ({type(reason).__name__})"
+    return None if said is None else f"is {shown(value)}; it {said}"
 
 
 def _name(function: Callable, args: tuple) -> str:
@@ -97,7 +104,7 @@ def each(check: Check, *instead: str) -> Check:
     def wrong(value):
         for one in value if isinstance(value, (list, tuple)) else [value]:
             said = check(one)
-            if said is not None and not (instead and all(hasattr(one, name) for name in instead)):
+            if said is not None and not (instead and like("", *instead)(one) is None):
                 return said
         return None
 
@@ -114,11 +121,12 @@ def number(low: float = -math.inf, high: float = math.inf, above: float | None =
         real = isinstance(value, (int, float, np.floating, np.integer)) or (
             isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "fiu"
         )
-        # A whole number may be too large for any float.
-        fits = real and not isinstance(value, _NO_NUMBERS) and abs(value) <= _LARGEST
-        fits = fits and not math.isnan(float(value))  # of a subclass that says otherwise
-        if fits and least <= value <= high and (above is None or value > above):
-            return None
+        with contextlib.suppress(Exception):  # of a subclass that is not compared
+            # A whole number may be too large for any float.
+            fits = real and not isinstance(value, _NO_NUMBERS) and abs(value) <= _LARGEST
+            fits = fits and not math.isnan(float(value))  # of a subclass that says otherwise
+            if fits and least <= value <= high and (above is None or value > above):
+                return None
         return f"must be a finite number{bounds}"
 
     return check
@@ -150,8 +158,8 @@ def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
             return f"must be an array of shape {said}"
         if found.dtype.kind not in "fiu" or _has_masked(value):
             return f"must be an array of numbers, none masked, of shape {said}"
-        if found.size > _MOST:
-            return f"has {found.size:.3g} numbers and may have {_MOST:.3g}"
+        if found.size > MOST_NUMBERS:
+            return f"has {found.size:.3g} numbers and may have {MOST_NUMBERS:.3g}"
         fits = [
             len(shape) == found.ndim
             and all(a in (None, b) for a, b in zip(shape, found.shape, strict=True))
@@ -182,6 +190,7 @@ def path(value: Any) -> str | None:
     """The name of a file."""
     try:
         good = isinstance(value, (str, os.PathLike)) and "\0" not in os.fsdecode(value)
+        good = good and isinstance(f"{value}", str)  # messages say it
     except Exception:  # as in `array`
         good = False
     return None if good else "must be the path of a file"
@@ -196,8 +205,9 @@ def like(what: str, *names: str) -> Check:
     """An object that has these attributes; `what` says of which type it should be."""
 
     def check(value: Any) -> str | None:
-        # A class of that name has them too, and is not meant.
+        # A class of that name has them too, and is not meant; nor is what has every name.
         good = not isinstance(value, type) and all(hasattr(value, name) for name in names)
+        good = good and not hasattr(value, "name_that_nothing_has")
         return None if good else f"must be {what}"
 
     return check
@@ -270,7 +280,7 @@ def floats(value: Any, where: str, error: type[WrodError]) -> np.ndarray:
     try:
         found = np.asarray(value)
         # And no times, which would be counted in nanoseconds.
-        if found.size <= _MOST and found.dtype.kind in "biufO" and not _has_masked(value):
+        if found.size <= MOST_NUMBERS and found.dtype.kind in "biufO" and not _has_masked(value):
             return found.astype(np.float64, copy=False)
     except Exception:  # whatever an object does that is asked to be an array
         pass
@@ -367,11 +377,11 @@ def _range(low: float, high: float, above: float | None = None) -> str:
 
 def shown(value: Any) -> str:
     """A value for a sentence, whatever it is."""
-    if isinstance(value, np.ndarray) and value.size > 8:
-        return f"an array of shape {value.shape}"
     said = f"of type {type(value).__name__}"
-    if isinstance(value, str | numbers.Number | np.ndarray | list | tuple | dict | None):
-        with contextlib.suppress(Exception):  # it may be nested deeply, or hold anything
+    with contextlib.suppress(Exception):  # it may be nested deeply, hold or do anything
+        if isinstance(value, np.ndarray) and value.size > 8:
+            return f"an array of shape {value.shape}"
+        if isinstance(value, str | numbers.Number | np.ndarray | list | tuple | dict | None):
             said = repr(value)
     return said if len(said) <= 60 else f"{said[:59]}…"
 

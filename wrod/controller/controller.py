@@ -187,11 +187,12 @@ class Controller(Trained):
     def _inputs(self, *inputs):
         for name, value in zip(_INPUTS, inputs, strict=True):
             if isinstance(value, (str, bytes, dict, type(None))):
-                raise GraspError(f"{name} must be numbers, not {value!r:.60}")
+                raise GraspError(f"{name} must be numbers, not {arguments.shown(value)}")
         torch = sys.modules.get("torch")
         if torch is not None and any(isinstance(value, torch.Tensor) for value in inputs):
             like = next(value for value in inputs if isinstance(value, torch.Tensor))
-            if like.is_meta or like.dtype in (torch.bfloat16, torch.float16) or like.is_sparse:
+            odd = like.is_sparse or like.is_quantized or like.is_nested
+            if odd or like.is_meta or like.dtype in (torch.bfloat16, torch.float16):
                 raise GraspError(
                     f"grasp inputs are of {like.dtype} on {like.device}; give dense tensors of "
                     "float32 or float64 that hold numbers"

@@ -35,7 +35,7 @@ class Sight:
 
     def __post_init__(self) -> None:
         length = arguments.number(0.0, 100.0)
-        blind = isinstance(self.hanging, float) and self.hanging == np.inf
+        blind = type(self.hanging) is float and self.hanging == np.inf
         arguments.check_fields(
             self, RodError, noise=length, spacing=arguments.number(1e-4, 100.0), hidden=length,
             hanging=(lambda value: None) if blind else length,

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import DataError, WrodError
 from wrod.files.array_schemas import ARRAYS, ArrayFile, Field
 from wrod.files.arrays import read_arrays
@@ -94,13 +95,20 @@ def _converted(value: Any, field: Field, what: str, error: type[WrodError]) -> n
     """The values as float64, int64, bool or text."""
     try:
         array = np.asarray(value)
-    except (TypeError, ValueError, OverflowError, RuntimeError, MemoryError):
+    except Exception:  # whatever an object does that is asked to be an array
         raise error(f"{what} is no array of {field.kind}") from None
+    if array.size > arguments.MOST_NUMBERS:
+        raise error(
+            f"{what} holds {array.size:.3g} values, and may have {arguments.MOST_NUMBERS:.3g}"
+        )
     if array.dtype.kind not in _KINDS[field.kind]:
         wanted = "numbers" if field.kind == "rotations" else field.kind
         raise error(f"{what} holds {array.dtype} values; it must hold {wanted}")
     kind = {"whole numbers": np.int64, "truths": np.bool_}.get(field.kind, np.float64)
-    return array.astype(str) if field.kind in ("text", "names") else array.astype(kind, copy=False)
+    try:
+        return array.astype(str if field.kind in ("text", "names") else kind, copy=False)
+    except (TypeError, ValueError):  # bytes that are no text
+        raise error(f"{what} is no array of {field.kind}") from None
 
 
 def _fitted(array, name: str, field: Field, table, lengths: dict, what: str, error) -> np.ndarray:

@@ -49,6 +49,7 @@ def checked_path(
     """
     try:
         name = os.fspath(path)
+        path = str.__str__(name) if isinstance(name, str) else path  # a subclass may say otherwise
         found = os.stat(name)
     except FileNotFoundError:
         raise error(f"{shown(path, 300)}: no such file; give {what}") from None
@@ -212,7 +213,7 @@ def shown(value: object, most: int = 80) -> str:
     """A value for a message, cut where it is long."""
     try:
         text = str(value) if isinstance(value, (str, os.PathLike, Exception)) else repr(value)
-    except RecursionError:
+    except Exception:  # it is nested deeply, or raises whatever it likes
         text = f"of type {type(value).__name__}"
     text = text if text.isprintable() else ascii(text)
     return text if len(text) <= most else f"{text[: most - 1]}…"

@@ -106,7 +106,9 @@ def suffixed(path: str | os.PathLike[str], suffix: str) -> Path:
     try:
         return Path(path).with_suffix(suffix)
     except ValueError:
-        raise DataError(f"path is {path!r:.80}; give the name of a file to write") from None
+        raise DataError(
+            f"path is {arguments.shown(path)}; give the name of a file to write"
+        ) from None
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> Path:

@@ -94,7 +94,8 @@ class KnotPlan:
         is_pattern = arguments.like("a wrod.Pattern", "sample", "length", "remainder_length")
         is_rod = arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length")
         for k, run in enumerate(self.rods):
-            if len(run) != 2 or is_pattern(run[0]) or is_rod(run[1]):
+            pair = isinstance(run, (tuple, list)) and len(run) == 2
+            if not pair or is_pattern(run[0]) or is_rod(run[1]):
                 raise DataError(f"rod {k} is no (wrod.Pattern, wrod.RodMaterial)")
         object.__setattr__(self, "rods", tuple(map(tuple, self.rods)))
         object.__setattr__(self, "steps", tuple(map(tuple, self.steps)))

@@ -20,7 +20,7 @@ from wrod.knots.tying_run import TyingRun
 @arguments.checked(
     RodError,
     knot=arguments.like("a KnotPlan", "rods", "steps", "pull"),
-    trials=arguments.several(arguments.like("a Handling", "__dict__")),
+    trials=arguments.several(arguments.like("a Handling", "laying")),
     friction=arguments.number(0.0, 1e3),
     rod_friction=arguments.number(0.0, 1e3),
     speed=arguments.number(1e-4, 10.0),

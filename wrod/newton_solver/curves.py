@@ -27,12 +27,12 @@ _DAMPINGS = {"air_damping": "wrod:airDamping", "internal_damping": "wrod:interna
 
 def add_curves(builder, source, add, **options) -> dict[str, list[int]]:
     """`SolverDER.add_usd`, which documents the arguments; `add` is `SolverDER.add_rod`."""
-    from pxr import UsdGeom
+    from pxr import Usd, UsdGeom
 
     from wrod.scene.validate import open_stage
 
     stage = source
-    if not hasattr(source, "Traverse"):
+    if not isinstance(source, Usd.Stage):
         if not Path(source).is_file():
             raise RodError(f"there is no USD file {str(source)!r}")
         stage = open_stage(source)

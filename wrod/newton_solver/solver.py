@@ -153,8 +153,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
         given = {"max_step": max_step, "contact_stiffness": contact_stiffness}
         for name, value in {**given, "rod_stiffness": rod_stiffness}.items():
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise RodError(f"{name} is {value!r}; give a positive finite number")
+            if value is not None and arguments.wrong(arguments.number(above=0.0), value):
+                raise RodError(f"{name} is {arguments.shown(value)}; give a positive finite number")
         if rod_contact is not None and self_contact is not None:
             raise RodError("give rod_contact or self_contact: the first one covers the second")
         self.max_step = max_step

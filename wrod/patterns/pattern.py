@@ -319,7 +319,7 @@ class Pattern:
             )
         if arguments.number(above=0.0, high=1e3)(length) is not None:
             raise PatternError(
-                f"remainder length is {length!r:.60}; give a positive number of metres"
+                f"remainder length is {arguments.shown(length)}; give a positive number of metres"
             )
         return self._redrawn(lead_in(self._heading, float(length)))
 
@@ -351,7 +351,7 @@ class Pattern:
             PatternError: the factor is not a positive number.
         """
         if arguments.number(1e-9, 1e9)(factor) is not None:
-            raise PatternError(f"size factor is {factor!r:.60}; give a positive number")
+            raise PatternError(f"size factor is {arguments.shown(factor)}; give a positive number")
         first = self._heading.x[0]
         powers = factor ** -np.arange(len(self._heading.c) - 1, -1, -1, dtype=float)
         points = None

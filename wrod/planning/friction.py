@@ -65,8 +65,8 @@ def friction_bound(
         PatternError: friction or spacing is not a positive finite number.
     """
     for name, value in (("friction", friction), ("spacing", spacing)):
-        if value is not None and not (np.isfinite(value) and value > 0.0):
-            raise PatternError(f"{name} is {value!r}; give a positive number")
+        if value is not None and arguments.wrong(arguments.number(above=0.0), value):
+            raise PatternError(f"{name} is {arguments.shown(value)}; give a positive number")
     first = -pattern.remainder_length
     count = max(int(np.ceil((pattern.length - first) / spacing)), 2) + 1
     s = np.linspace(first, pattern.length, count)

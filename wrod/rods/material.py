@@ -90,19 +90,20 @@ class RodMaterial:
         for name in ("radius", "gravito_bending_length", "length", "density", "gravity"):
             value = getattr(self, name)
             low, high = _BOUNDS[name]
-            real = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not (real and value > 0 and value != math.inf):
+            if arguments.wrong(arguments.number(above=0.0), value) is not None:
                 raise RodError(
-                    f"rod {name} is {value!r:.80}; give a positive finite number in SI units"
+                    f"rod {name} is {arguments.shown(value)}; give a positive finite number in SI "
+                    "units"
                 )
             if not low <= value <= high:
                 raise RodError(
-                    f"rod {name} is {value!r:.80}; no rod has that, give {low:g} to {high:g} in SI "
-                    "units"
+                    f"rod {name} is {arguments.shown(value)}; no rod has that, give {low:g} to "
+                    f"{high:g} in SI units"
                 )
-        if not (isinstance(self.poisson, (int, float)) and -1.0 < self.poisson <= 0.5):
+        if arguments.wrong(arguments.number(above=-1.0, high=0.5), self.poisson) is not None:
             raise RodError(
-                f"rod poisson is {self.poisson!r}; an elastic rod needs a value in (-1, 0.5]"
+                f"rod poisson is {arguments.shown(self.poisson)}; an elastic rod needs a value in "
+                "(-1, 0.5]"
             )
         try:
             first, second = (float(value) for value in self.natural_curvature)
@@ -110,8 +111,8 @@ class RodMaterial:
             first = second = math.nan
         if not (math.isfinite(first) and math.isfinite(second)):
             raise RodError(
-                f"rod natural_curvature is {self.natural_curvature!r}; give two finite numbers, "
-                "the components along the material directors in 1/m"
+                f"rod natural_curvature is {arguments.shown(self.natural_curvature)}; give two "
+                "finite numbers, the components along the material directors in 1/m"
             )
         object.__setattr__(self, "natural_curvature", (first, second))
         lengths = self.gravito_bending_length, self.length
@@ -136,14 +137,15 @@ class RodMaterial:
         gravity: float = 9.81,
     ) -> RodMaterial:
         """Rod of a known Young's modulus [Pa]: L_gb = (E h^2 / (8 rho g))^(1/3) (Eq. material)."""
-        if not (isinstance(youngs_modulus, (int, float)) and 0 < youngs_modulus < 1e15):
+        if arguments.wrong(arguments.number(above=0.0, high=1e15), youngs_modulus) is not None:
             raise RodError(
-                f"rod youngs_modulus is {youngs_modulus!r:.80}; give a positive number of pascals"
+                f"rod youngs_modulus is {arguments.shown(youngs_modulus)}; give a positive number "
+                "of pascals"
             )
         if youngs_modulus > _STIFFEST:
             raise RodError(f"rod youngs_modulus is {youngs_modulus:g} Pa; diamond has 1.2e12 Pa")
-        whole = isinstance(radius, (int, float)) and 0 < radius <= _BOUNDS["radius"][1]
-        long = max(1.0, 2.0 * radius) if whole else 1.0
+        good = arguments.wrong(arguments.number(*_BOUNDS["radius"]), radius) is None
+        long = max(1.0, 2.0 * radius) if good else 1.0
         probe = cls(radius, long, length, poisson, density, gravity)  # before the division
         lgb = (youngs_modulus * radius**2 / (8.0 * probe.density * probe.gravity)) ** (1.0 / 3.0)
         return cls(radius, lgb, length, poisson, density, gravity)

@@ -2,7 +2,7 @@
 
 import math
 
-from wrod.arguments import number
+from wrod.arguments import number, shown, wrong
 from wrod.errors import RodError
 from wrod.rods.profile import Profile
 
@@ -14,16 +14,16 @@ _INSTEAD = {
 
 
 def as_number(name: str, value, *, positive: bool = False, least: float = -math.inf) -> float:
-    if isinstance(value, (Profile, dict)):
+    if issubclass(type(value), (Profile, dict)):
         raise RodError(
             f"rod {name} is a profile and can only be one number for the whole rod; give "
             f"{_INSTEAD.get(name, 'its mean')}"
         )
-    if number(least, above=0.0 if positive else None)(value) is not None:
+    if wrong(number(least, above=0.0 if positive else None), value) is not None:
         wanted = (
             "a positive" if positive else "a" if least == -math.inf else f"at least {least:g}, a"
         )
-        raise RodError(f"rod {name} is {value!r:.80}; give {wanted} finite number in SI units")
+        raise RodError(f"rod {name} is {shown(value)}; give {wanted} finite number in SI units")
     return float(value)
 
 
@@ -35,8 +35,8 @@ def as_profile(name: str, value) -> Profile:
 
 
 def as_pair(name: str, value, *, same: bool = False) -> tuple[Profile, Profile]:
-    if same and not isinstance(value, (tuple, list)):
+    if same and not issubclass(type(value), (tuple, list)):
         value = (value, value)
-    if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise RodError(f"rod {name} is {value!r:.80}; give two profiles, one per direction")
+    if not issubclass(type(value), (tuple, list)) or len(value) != 2:
+        raise RodError(f"rod {name} is {shown(value)}; give two profiles, one per direction")
     return as_profile(name, value[0]), as_profile(name, value[1])

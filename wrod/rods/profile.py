@@ -71,11 +71,14 @@ class Profile:
         if isinstance(value, dict) and set(value) == {"knots", "values"}:
             return cls(value["values"], value["knots"])
         raise RodError(
-            f"{value!r:.80} is no profile; give a number, a wrod.Profile, or knots and values"
+            f"{arguments.shown(value)} is no profile; give a number, a wrod.Profile, or knots and "
+            "values"
         )
 
     @classmethod
-    @arguments.checked(RodError, start=arguments.number(), stop=arguments.number())
+    @arguments.checked(
+        RodError, start=arguments.number(-1e9, 1e9), stop=arguments.number(-1e9, 1e9)
+    )
     def sampled(cls, function: Callable, start: float, stop: float) -> Profile:
         """A smooth vectorised function of arc length [m] between two places, at 257 knots."""
         knots = np.linspace(start, stop, _SAMPLES)
@@ -142,7 +145,9 @@ class Profile:
         """Values times a factor, arc lengths times another, which must be positive."""
         return Profile(factor * np.array(self.values), length_factor * np.array(self.knots))
 
-    @arguments.checked(RodError, start=arguments.number(), stop=arguments.number())
+    @arguments.checked(
+        RodError, start=arguments.number(-1e9, 1e9), stop=arguments.number(-1e9, 1e9)
+    )
     def piece(self, start: float, stop: float) -> Profile:
         """What lies between two places, arc length counted from the first."""
         if self.is_constant:

@@ -240,8 +240,8 @@ class Dynamics(NewtonSteps):
         Raises:
             RodError: the step is not positive.
         """
-        if not (np.isfinite(step) and step > 0):
-            raise RodError(f"time step is {step!r}; give a positive finite number")
+        if arguments.wrong(arguments.number(above=0.0), step):
+            raise RodError(f"time step is {arguments.shown(step)}; give a positive finite number")
         batch = self.batch
         smallest = step * _SMALLEST_STEP if smallest_step is None else smallest_step
         self.until.assign(

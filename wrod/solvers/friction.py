@@ -89,11 +89,13 @@ class Friction:
         real = all(arguments.number()(v) is None for v in values)
         if not real or not all(0 <= v < np.inf for v in values) or values[1] > values[0]:
             raise RodError(
-                f"friction is static {self.static!r}, kinetic {self.kinetic!r}; give finite "
-                "numbers with 0 <= kinetic <= static"
+                f"friction is static {arguments.shown(self.static)}, kinetic "
+                f"{arguments.shown(self.kinetic)}; give finite numbers with 0 <= kinetic <= static"
             )
         if arguments.optional(arguments.number(0.0))(self.roll) is not None:
-            raise RodError(f"roll friction is {self.roll!r}; give a finite number, 0 or more")
+            raise RodError(
+                f"roll friction is {arguments.shown(self.roll)}; give a finite number, 0 or more"
+            )
 
 
 def contact_damping(restitution: np.ndarray) -> np.ndarray:

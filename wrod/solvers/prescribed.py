@@ -42,10 +42,9 @@ class PrescribedMotion:
     """
 
     def __init__(self, batch: RodBatch, edge, times, position, rotation, *, part=0.5, slides=""):
-        if not hasattr(batch, "node_count") or isinstance(batch, type):
-            raise RodError(
-                f"PrescribedMotion: batch is {arguments.shown(batch)}; give a wrod.RodBatch"
-            )
+        said = arguments.wrong(arguments.like("a wrod.RodBatch", "node_count", "device"), batch)
+        if said is not None:
+            raise RodError(f"PrescribedMotion: batch {said}")
         self.batch, device = batch, batch.device
         edges = arguments.floats(edge, "PrescribedMotion: edge", RodError)
         whole = np.isfinite(edges).all() and (np.abs(edges) < 1e9).all() and (edges % 1 == 0).all()
