@@ -30,10 +30,12 @@ test-slow: $(STAMP)
 
 # Fifty times the hostile inputs that the tests try, and other ones each time; then every file of
 # an adversary into every option, and every wrong argument into every public callable; then calls
-# of every command with one option, stream, output or surrounding broken.
+# of every command with one option, stream, output or surrounding broken: those of a table, and
+# drawn ones.
 fuzz: $(STAMP)
 	WROD_FUZZ=50 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -vv --tb=short -n auto --dist worksteal \
 		tests/test_fuzz.py tests/test_bombs.py tests/test_arguments.py
+	$(BIN)/python tests/adversary.py --listed --count 10000 --workers $$(nproc)
 	$(BIN)/python tests/adversary.py --count 2000 --workers $$(nproc)
 
 # A hundred kills at random moments; every run has to end in the same bytes.

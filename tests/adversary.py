@@ -88,9 +88,13 @@ class Campaign:
         random.Random(0).shuffle(self.slots)  # a short campaign has some of every command
         self.table = table(files)
 
+    def kinds(self, only: str) -> list[str]:
+        """Of the table, of commands that begin so."""
+        return [kind for kind in self.table if kind.startswith(only)]
+
     def listed(self, number: int, only: str = "") -> tuple[str, list[str], dict | str | None]:
         """The same of a call of the table (adversary_fresh.py)."""
-        kinds = [kind for kind in self.table if kind.startswith(only)]
+        kinds = self.kinds(only)
         kind = kinds[number % len(kinds)]
         return f"{kind} (listed)", *self.table[kind](emptied(self.folder / "listed"))
 
@@ -274,7 +278,7 @@ def work(task: tuple) -> list[tuple]:
     files = material(folder / "files")
     campaign, found = Campaign(folder, files), []
     for number in numbers:
-        if time.monotonic() > end:
+        if time.monotonic() > end or (listed and number >= len(campaign.kinds(only))):
             break
         call = campaign.listed(number, only) if listed else campaign.drawn(seed, number, only)
         kind, words, around = call

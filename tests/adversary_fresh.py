@@ -646,7 +646,6 @@ ENVIRONMENTS: dict[str, dict] = {
     "a path of bytes": {"PATH": "\udcff:/proc:.", "WROD_SHARED": "/dev/zero"},
     "gtk": {"LC_NUMERIC": "fr_FR.UTF-8", "LC_TIME": "ar_EG.UTF-8", "LC_COLLATE": "x"},
     "time zone": {"TZ": ":/dev/zero"},
-    "python home": {"PYTHONPLATLIBDIR": "lib64", "PYTHONEXECUTABLE": "/nonexistent"},
     "perf": {"PYTHONPERFSUPPORT": "1", "PYTHONFROZENMODULES": "off"},
     "int digits": {"PYTHONINTMAXSTRDIGITS": "0", "PYTHONDEBUG": "x"},
     "malloc stats": {"PYTHONMALLOCSTATS": "1"},
