@@ -39,13 +39,15 @@ def rods_of_long_ago() -> None:
 
 
 def begins_elsewhere(model: newton.Model, holds: Holds, rods: wp.array, poses: wp.array) -> None:
-    """Look, in the memory of a CPU, whether rods begin farther than an edge from what holds them:
-    links are where their joints have them only once kinematics were evaluated."""
+    """Look, in the memory of a CPU, whether rods begin farther than an edge from links that hold
+    them: those are where their joints have them only once kinematics were evaluated."""
     der, nodes, bodies = model.der, rods.numpy(), poses.numpy().astype(float)
     first, longest = der.rod_first_node.numpy(), der.edge_rest_length.numpy().max()
+    jointed = model.joint_type.numpy() != int(newton.JointType.FREE)
+    links = set(model.joint_child.numpy()[jointed].tolist())  # what others move may jump
     for rod in range(len(first)):
         for h in holds.of(rod):
-            if h.body < 0:
+            if h.body not in links:
                 continue
             pose = bodies[h.body]
             place = pose[:3] + Rotation.from_quat(pose[3:]).apply(h.position)
