@@ -318,40 +318,6 @@ def settle_friction(
     force_out[r, i] = total
 
 
-@wp.kernel
-def hold_still(
-    # Model:
-    model: Touchable,
-    # State in:
-    accepted: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec3d),
-    sliding: wp.array3d(dtype=wp.int32),
-    force: wp.array2d(dtype=wp.vec3d),
-    # State in and out:
-    gradient: wp.array2d(dtype=wp.float64),
-):
-    """After `settle_friction`: turn the forces of an accepted step, in the residual, into those
-    that the next begins with, of rods that rest where they are. What slides goes on, with the
-    friction of a normal force that goes on growing."""
-    r, i = wp.tid()
-    if accepted[r] == 0:
-        return
-    change = force[r, i]
-    for k in range(model.shapes.shape[1]):
-        c = touch(model, dof, dof_before, wp.vec3d(), r, k, i)
-        if c.force > ZERO:
-            pull = model.stiffness[r, i] * bristle[r, k, i]
-            if sliding[r, k, i] != 0:
-                mu = coefficient(model, 1, r, k)
-                mu = mu * friction_factor(model.field, model.place, node(dof, r, i))[0]
-                pressed = wp.max(c.force + c.slope * c.closing, ZERO)
-                pull = mu * pressed * wp.normalize(pull)
-            change = change + pull - c.force * c.normal
-    add_vector(gradient, r, 4 * i, change)
-
-
 @wp.func
 def note_touch(
     touching: wp.array(dtype=wp.int32),

@@ -15,12 +15,34 @@ nodes by the square of radius over length.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import HALF_BANDWIDTH, add_diagonal_block, add_vector
-from wrod.kernels.elastic.frames import ONE, TWO, ZERO, node
-from wrod.kernels.lanes import wait_for_lanes
+from wrod.kernels.elastic.assembly import add_diagonal_block, add_vector
+from wrod.kernels.elastic.frames import TWO, ZERO, node
 from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def predict(
+    # State in:
+    pace: Pace,
+    free: wp.array2d(dtype=wp.int32),
+    velocity: wp.array2d(dtype=wp.float64),
+    velocity_older: wp.array2d(dtype=wp.float64),
+    growth: wp.float64,
+    # State in and out:
+    dof: wp.array2d(dtype=wp.float64),
+):
+    """Newton starts where the free degrees of freedom would be with `growth` times the last change
+    of velocity, of which there is none in a first step."""
+    r, a = wp.tid()
+    if pace.starting[r] == 0:
+        return
+    if free[r, a] != 0:
+        v = wp.float64(velocity[r, a])
+        if pace.coefficient[r][2] != ZERO:
+            v += growth * (velocity[r, a] - velocity_older[r, a])
+        dof[r, a] = dof[r, a] + pace.span[r] * v
 
 
 @wp.func
@@ -28,72 +50,6 @@ def difference(
     coefficient: wp.vec3d, dt: wp.float64, now: wp.float64, before: wp.float64, older: wp.float64
 ) -> wp.float64:
     return (coefficient[0] * now + coefficient[1] * before + coefficient[2] * older) / dt
-
-
-@wp.kernel
-def start_newton(
-    # Model:
-    mass: wp.array2d(dtype=wp.float64),
-    air_damping: wp.array(dtype=wp.float64),
-    growth: wp.float64,
-    linear: int,
-    # State in:
-    free: wp.array2d(dtype=wp.int32),
-    dof_before: wp.array2d(dtype=wp.float64),
-    dof_older: wp.array2d(dtype=wp.float64),
-    velocity: wp.array2d(dtype=wp.float64),
-    velocity_older: wp.array2d(dtype=wp.float64),
-    # State in and out:
-    pace: Pace,
-    dof: wp.array2d(dtype=wp.float64),
-    gradient: wp.array2d(dtype=wp.float64),
-    hessian: wp.array3d(dtype=wp.float64),
-):
-    """Newton starts where the free degrees of freedom would be with `growth` times the last change
-    of velocity, of which there is none in a first step.
-
-    With `linear` a first correction is prepared from what an accepted step has left: `gradient`
-    and `hessian` (the lower band), of which `shift_history` took the inertia, become residual and
-    matrix at that start, to first order in the way there. After a step that failed there is
-    nothing to correct. Launched over (rod, lane).
-    """
-    r, lane = wp.tid()
-    if pace.starting[r] == 0:
-        return
-    count = dof.shape[1]
-    for a in range(lane, count, wp.block_dim()):
-        if free[r, a] != 0:
-            v = wp.float64(velocity[r, a])
-            if pace.coefficient[r][2] != ZERO:
-                v += growth * (velocity[r, a] - velocity_older[r, a])
-            dof[r, a] = dof[r, a] + pace.span[r] * v
-    wait_for_lanes()
-    if lane == 0:
-        pace.starting[r] = 0
-    if linear == 0:
-        return
-    if pace.accepted[r] == 0:
-        for a in range(lane, count, wp.block_dim()):
-            gradient[r, a] = ZERO
-            hessian[r, a, 0] = ONE
-            for k in range(1, HALF_BANDWIDTH + 1):
-                hessian[r, a, k] = ZERO
-        return
-    dt = pace.span[r]
-    c = pace.coefficient[r]
-    rate = c[0] / dt
-    for a in range(lane, count, wp.block_dim()):
-        way = dof[r, a] - dof_before[r, a]
-        force = gradient[r, a] + hessian[r, a, 0] * way
-        for k in range(1, 11):  # the band; unrolled, for loops wait for each number
-            if a >= k:
-                force += hessian[r, a, k] * (dof[r, a - k] - dof_before[r, a - k])
-            if a + k < count:
-                force += hessian[r, a + k, k] * (dof[r, a + k] - dof_before[r, a + k])
-        v = difference(c, dt, dof[r, a], dof_before[r, a], dof_older[r, a])
-        acceleration = difference(c, dt, v, velocity[r, a], velocity_older[r, a])
-        gradient[r, a] = force + mass[r, a] * (acceleration + air_damping[r] * v)
-        hessian[r, a, 0] = hessian[r, a, 0] + mass[r, a] * rate * (rate + air_damping[r])
 
 
 @wp.kernel
@@ -237,12 +193,9 @@ def extrapolate(
 
 @wp.kernel
 def shift_history(
-    # Model:
-    mass: wp.array2d(dtype=wp.float64),
-    air_damping: wp.array(dtype=wp.float64),
-    linear: int,
     # State in:
     pace: Pace,
+    residual: wp.array2d(dtype=wp.float64),
     carried: wp.array2d(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
@@ -250,13 +203,10 @@ def shift_history(
     dof_older: wp.array2d(dtype=wp.float64),
     velocity: wp.array2d(dtype=wp.float64),
     velocity_older: wp.array2d(dtype=wp.float64),
-    residual: wp.array2d(dtype=wp.float64),
-    hessian: wp.array3d(dtype=wp.float64),
     # State out:
     reaction_out: wp.array2d(dtype=wp.float64),
 ):
-    """Carry an accepted step over to the next, and keep the forces that hold the rod in it; with
-    `linear` take the step's inertia out of residual and matrix, for `start_newton`."""
+    """Carry an accepted step over to the next, and keep the forces that hold the rod in it."""
     r, a = wp.tid()
     if pace.accepted[r] == 0:
         return
@@ -264,15 +214,7 @@ def shift_history(
     v = difference(pace.coefficient[r], pace.step[r], now, dof_before[r, a], dof_older[r, a])
     if pace.span[r] < pace.step[r] and carried[r, a] != 0:
         v = TWO * v - velocity[r, a]
-    reaction_out[r, a] = residual[r, a]
-    if linear != 0:
-        c = pace.coefficient[r]
-        dt = pace.span[r]
-        m = mass[r, a]
-        rate = c[0] / dt
-        acceleration = difference(c, dt, v, velocity[r, a], velocity_older[r, a])
-        residual[r, a] = residual[r, a] - m * (acceleration + air_damping[r] * v)
-        hessian[r, a, 0] = hessian[r, a, 0] - m * rate * (rate + air_damping[r])
     velocity_older[r, a] = velocity[r, a]
     velocity[r, a] = v
     dof_older[r, a] = dof_before[r, a]
+    reaction_out[r, a] = residual[r, a]

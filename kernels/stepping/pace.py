@@ -263,21 +263,16 @@ def ask_what(
     # State out:
     going_out: wp.array(dtype=wp.int32),
 ):
-    """Whether any rod starts a step, has something to solve, or has ended a step. Launched over
-    (1, lane)."""
+    """Whether any rod iterates on, and whether any has ended a step. Launched over (1, lane)."""
     _, lane = wp.tid()
-    starts = int(0)
     goes = int(0)
     ends = int(0)
     for r in range(lane, pace.active.shape[0], wp.block_dim()):
-        starts += pace.starting[r]
         goes += pace.active[r]
         ends += pace.accepted[r] + pace.rejected[r]
-    starts = count_of_lanes(starts)
     goes = count_of_lanes(goes)
     ends = count_of_lanes(ends)
     if lane == 0:
-        going_out[2] = wp.where(starts > 0, 1, 0)
         going_out[3] = wp.where(goes > 0, 1, 0)
         going_out[4] = wp.where(ends > 0, 1, 0)
 

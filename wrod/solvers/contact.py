@@ -371,15 +371,6 @@ class Contact(OnDevice):
         if self._has_fixtures:
             self._edges.settle(self.time_step, accepted, dof, dof_before, self.slip, self.force)
 
-    def hold_still(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
-        """After `settle`: turn the forces of accepted steps, in the batch's gradient, into those
-        that the next begin with; of planes alone, and not of what rolls."""
-        if not self._has_fixtures:
-            inputs = [self._model, accepted, dof, dof_before]
-            inputs += [self._bristle, self._sliding, self.force]
-            out = [self.batch.derivatives.gradient]
-            self.batch.launch(kernels.hold_still, self.slip.shape, inputs, out)
-
     def energy(self) -> np.ndarray:
         """(rod,) elastic energy of what touches now, with that of its friction."""
         batch = self.batch

@@ -250,7 +250,9 @@ class Dynamics(NewtonSteps):
         self._begin_advance(step)
 
         def take_round() -> None:
-            self._take_round(step, smallest, frames, frame_interval, then)
+            self._take_round(step, smallest, frames, frame_interval)
+            if then is not None:
+                then()
             self._ask(_ROUNDS)
 
         array = None if frames is None else frames.ptr
@@ -259,7 +261,6 @@ class Dynamics(NewtonSteps):
         taken = 0
         if graph is None:
             self._ask(_ROUNDS)
-            self._begin()
         going = graph is not None or read(self._going)[1] != 0
         while going:
             # Launches are replayed faster than they can be made, but recording costs as much as
@@ -309,12 +310,11 @@ class Dynamics(NewtonSteps):
 
         def take_rounds() -> None:
             def take_round() -> None:
-                self._take_round(step, smallest, None, 1.0, None)
+                self._take_round(step, smallest, None, 1.0)
                 self._ask(_ENDLESS)
 
             self._rounds.zero_()
             self._ask(_ENDLESS)
-            self._where_any((self.starting,), 2, self._begin)
             wp.capture_while(self._goes_on, take_round)
 
         device = wp.get_device(self.batch.device)
@@ -336,10 +336,9 @@ class Dynamics(NewtonSteps):
         one and not as a graph: what they cost, and where."""
         self.until.fill_(until)
         self._begin_advance(step)
-        self._begin()
         wp.timing_begin(cuda_filter=wp.TIMING_ALL)
         for _ in range(rounds):
-            self._take_round(step, step * _SMALLEST_STEP, None, 1.0, None)
+            self._take_round(step, step * _SMALLEST_STEP, None, 1.0)
         wp.synchronize_device(self.batch.device)
         return [(event.name, event.elapsed) for event in wp.timing_end()]
 
@@ -371,10 +370,8 @@ class Dynamics(NewtonSteps):
         def take_rounds() -> None:
             if decides:
                 self._ask(_ROUNDS)
-                self._where_any((self.starting,), 2, self._begin)
                 wp.capture_while(self._goes_on, take_round)
             else:
-                self._begin()
                 for _ in range(_ROUNDS_BLIND):
                     take_round()
 

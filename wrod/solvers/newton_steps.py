@@ -7,7 +7,6 @@ from typing import Protocol
 
 import warp as wp
 
-from wrod.kernels.lanes import CROWD, lanes
 from wrod.kernels.stepping import dynamics as kernels
 from wrod.kernels.stepping import newton_iteration as newton
 from wrod.kernels.stepping import pace
@@ -64,35 +63,14 @@ class NewtonSteps(Steps):
         for contact in self.contacts:
             contact.restart(chosen)
 
-    @property
-    def _starts_linearly(self) -> bool:
-        """Whether what is known at the end of a step is solved for the start of the next: where
-        nothing that changes there but inertia is a large part of it."""
-        others = (self.rod_contact, self.bodies, self.edge_mass, self.drag)
-        return (
-            all(other is None for other in others)
-            and not self.viscosity.exists
-            and SCHEMES[self._scheme] != "midpoint"
-        )
-
-    def _take_round(self, step, smallest, frames, frame_interval, then) -> None:
+    def _take_round(self, step, smallest, frames, frame_interval) -> None:
+        self._where_any((self.starting,), 2, self._begin)
         self._iterate(step, smallest)
-        self._ask_what()
-        if not self._starts_linearly:
-            self._where_any((self.active,), 3, self._correct)
-        ended = (self.accepted, self.rejected)
-        self._where_any(ended, 4, lambda: self._finish(frames, frame_interval))
-        if then is not None:
-            then()
-            self._ask_what()
-        self._where_any((self.starting,), 2, lambda: self._begin(self._starts_linearly))
-        if self._starts_linearly:
-            self._ask_what()
-            self._where_any((self.active,), 3, self._correct)
-
-    def _ask_what(self) -> None:
         if self._decides:
             self.batch.launch_lanes(pace.ask_what, [self.pace], [self._going], rods=1)
+        self._where_any((self.active,), 3, self._correct)
+        ended = (self.accepted, self.rejected)
+        self._where_any(ended, 4, lambda: self._finish(frames, frame_interval))
 
     def _where_any(self, chosen: tuple, place: int, launch: Callable[[], None]) -> None:
         """Launch what has something to do for chosen rods: in a recording for a CPU if `_going`
@@ -109,9 +87,8 @@ class NewtonSteps(Steps):
         device = wp.get_device(self.batch.device)
         return device.is_capturing and device.is_cpu
 
-    def _begin(self, linear: bool = False) -> None:
-        """Begin a step of the rods that have finished their last, if `linear` in this round, with
-        a first correction to be solved for."""
+    def _begin(self) -> None:
+        """Begin a step of the rods that have finished their last."""
         batch = self.batch
         if self.rod_contact is not None:
             self.rod_contact.bound_steps(self.starting, self.wanted_step)
@@ -129,16 +106,10 @@ class NewtonSteps(Steps):
             self.motion.prescribe(self.starting, self.time, self.span, self.start)
         if self.bodies is not None:
             self.bodies.begin(self)
-        count = lanes(batch.device, CROWD)
-        wp.launch(
-            kernels.start_newton,
-            dim=(batch.rod_count, count),
-            inputs=[self.mass, self.air_damping, wp.float64(self._growth), int(linear)]
-            + [batch.free, self.start.dof, self.dof_older, self.velocity, self.velocity_older],
-            outputs=[self.pace, batch.state.dof]
-            + [batch.derivatives.gradient, batch.derivatives.hessian],
-            device=batch.device,
-            block_dim=count,
+        self._per_dof(
+            kernels.predict,
+            [self.pace, batch.free, self.velocity, self.velocity_older, wp.float64(self._growth)],
+            [batch.state.dof],
         )
 
     def _iterate(self, largest: float, smallest: float) -> None:
@@ -227,21 +198,14 @@ class NewtonSteps(Steps):
         self._per_dof(
             kernels.shift_history,
             [
-                self.mass,
-                self.air_damping,
-                int(self._starts_linearly),
                 self.pace,
+                batch.derivatives.gradient,
                 batch.free if self.bodies is None else self.bodies.carried,
                 dof,
                 start.dof,
             ],
-            [self.dof_older, self.velocity, self.velocity_older]
-            + [batch.derivatives.gradient, batch.derivatives.hessian, self.reaction],
+            [self.dof_older, self.velocity, self.velocity_older, self.reaction],
         )
-        if self._starts_linearly:
-            for contact in self.contacts:
-                if hasattr(contact, "hold_still"):
-                    contact.hold_still(self.accepted, dof, start.dof)
         if self.bodies is not None and SCHEMES[self._scheme] == "midpoint":
             # Velocities are of points that went straight on; on a body they turn.
             self.bodies.put(self.accepted, start)
