@@ -35,7 +35,7 @@ class Print:
         evidence: log evidence over that of the base model alone [nats]; 0 where nothing is seen,
             None where it is not known.
         share: fraction of the excess of squares that it takes away, to first order; 0 where there
-            is no more than noise varies by.
+            is no more than noise varies by and the print is not seen.
         arc_length: (K,) places of the profile [m]; None for numbers at an end.
         components: names of the columns of `value`.
         value, stderr: (K, components) or (components,).
@@ -292,6 +292,6 @@ def infer(jacobian, residual, prior):
     spread = root @ (vectors * np.sqrt(shrunk))
     left = residual - jacobian @ mean
     excess, square = residual @ residual - len(residual), residual @ residual
-    there = amplitude > 0.0 and excess > _EXCESS * np.sqrt(2.0 * len(residual))
-    share = float((square - left @ left) / excess) if there else 0.0
+    there = excess > _EXCESS * np.sqrt(2.0 * len(residual)) or (excess > 0.0 and evidence > SEEN)
+    share = float((square - left @ left) / excess) if amplitude > 0.0 and there else 0.0
     return evidence, amplitude, min(share, 1.0), mean, np.sqrt((spread**2).sum(axis=1))
