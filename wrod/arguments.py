@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from wrod.errors import DataError, WrodError
+from wrod.errors import WrodError
 
 _LARGEST = sys.float_info.max
 # Numbers in an array: more would take gigabytes, if only to look whether all are finite.
@@ -384,23 +384,3 @@ def shown(value: Any) -> str:
         if isinstance(value, str | numbers.Number | np.ndarray | list | tuple | dict | None):
             said = repr(value)
     return said if len(said) <= 60 else f"{said[:59]}…"
-
-
-def parse_list(
-    text: str, option: str, low: float, high: float, *, whole: bool = False
-) -> list[float]:
-    """Different numbers with commas between, rising.
-
-    Raises:
-        DataError: names the option where one is no number or out of bounds.
-    """
-    try:
-        found = sorted({(int if whole else float)(word) for word in text.split(",")})
-    except ValueError:
-        found = []
-    if not found or not all(low <= value <= high for value in found):
-        kind = "whole numbers" if whole else "numbers"
-        raise DataError(
-            f"{option} is {text!r:.80}; give {kind} from {low:g} to {high:g} with commas between"
-        )
-    return found

@@ -1,4 +1,4 @@
-"""Options of commands as fields of a dataclass: declared once, and handed on as one argument."""
+"""Options of commands: as fields of a dataclass, declared once and handed on as one argument."""
 
 import functools
 import typing
@@ -74,3 +74,23 @@ def refuse_idle_options(beside: str, *names: str) -> None:
         option = f"--{name}"
         if context.get_parameter_source(known[option]) == ParameterSource.COMMANDLINE:
             raise DataError(f"{option} does nothing beside {beside}; leave it out")
+
+
+def parse_list(
+    text: str, option: str, low: float, high: float, *, whole: bool = False
+) -> list[float]:
+    """Different numbers with commas between, rising.
+
+    Raises:
+        DataError: names the option where one is no number or out of bounds.
+    """
+    try:
+        found = sorted({(int if whole else float)(word) for word in text.split(",")})
+    except ValueError:
+        found = []
+    if not found or not all(low <= value <= high for value in found):
+        kind = "whole numbers" if whole else "numbers"
+        raise DataError(
+            f"{option} is {text!r:.80}; give {kind} from {low:g} to {high:g} with commas between"
+        )
+    return found

@@ -23,10 +23,10 @@ def command(frictions: str, load: float, rods: str, only: tuple, out: str | None
     """Pull ready-made reef and granny knots of two rods, and rods that are not tied, as `wrod bench
     applications` pulls its knots: up to a load that is kept up.
     A minute or two of CPU each."""
-    from wrod.arguments import parse_list
     from wrod.bench.bend_shapes import BENDS
     from wrod.errors import RodError
     from wrod.machine import machine_line
+    from wrod.options import parse_list
     from wrod.rods.catalogue import rod
 
     friction = parse_list(frictions, "--friction", 0.0, 100.0)

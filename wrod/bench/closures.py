@@ -108,7 +108,7 @@ def _asked_for(
     patterns: Path | None, full: bool, **given: str | None
 ) -> tuple[list[float], list[Curve]]:
     """Friction coefficients, and the curves that are laid."""
-    from wrod.arguments import parse_list
+    from wrod.options import parse_list
 
     chosen = dict(_FULL if full else _SMALL)
     chosen |= {name: text for name, text in given.items() if text is not None}

@@ -139,9 +139,9 @@ def _lines(figures: dict, threads: int) -> Iterator[str]:
 def _compare(
     other: Path, counts: str, closures: tuple[str, ...], device: str, patience: float
 ) -> None:
-    from wrod.arguments import parse_list
     from wrod.bench.grasp_against import compare, head, line
     from wrod.machine import machine_line
+    from wrod.options import parse_list
 
     numbers = [int(n) for n in parse_list(counts, "--counts", 1, 2**30, whole=True)]
     measured = compare(other, numbers, closures, device, patience)

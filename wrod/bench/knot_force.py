@@ -24,10 +24,10 @@ def command(frictions: str, loosest: float, tightest: float, out: str | None) ->
     with the law of Audoly et al. 2007 and Jawed et al. 2015 for thin rods."""
     import numpy as np
 
-    from wrod.arguments import parse_list
     from wrod.bench.overhand import knot_force, pull, solve_braid
     from wrod.errors import RodError
     from wrod.machine import machine_line
+    from wrod.options import parse_list
 
     friction = parse_list(frictions, "--friction", 0.0, 100.0)
     if not tightest < loosest:

@@ -6,8 +6,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.arguments import parse_list
-from wrod.options import refuse_idle_options
+from wrod.options import parse_list, refuse_idle_options
 from wrod.telling import asked, json_option
 
 # Steps of the implicit solvers over the period.

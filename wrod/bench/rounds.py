@@ -35,8 +35,8 @@ def command(counts: str, knots: int, reefs: int, rounds: int, device: str) -> No
     simulations take them, on a GPU of a graph. A CPU takes a few seconds for ten rods.
     """
     import wrod.kernels  # noqa: F401  # starts Warp quietly
-    from wrod.arguments import parse_list
     from wrod.machine import machine_line
+    from wrod.options import parse_list
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)

@@ -101,8 +101,8 @@ def command(
     Plans are kept in OUT/plans and finished trials in OUT/trials.jsonl: a run that was stopped goes
     on from there.
     """
-    from wrod.arguments import parse_list
     from wrod.bench.mujoco_chain import require_mujoco
+    from wrod.options import parse_list
     from wrod.rods.device import resolve_device
 
     out = common.out
