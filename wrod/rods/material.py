@@ -105,15 +105,12 @@ class RodMaterial:
                 f"rod poisson is {arguments.shown(self.poisson)}; an elastic rod needs a value in "
                 "(-1, 0.5]"
             )
-        try:
-            first, second = (float(value) for value in self.natural_curvature)
-        except Exception:  # whatever an object does that is asked for its items
-            first = second = math.nan
-        if not (math.isfinite(first) and math.isfinite(second)):
+        if arguments.wrong(arguments.array((2,)), self.natural_curvature) is not None:
             raise RodError(
                 f"rod natural_curvature is {arguments.shown(self.natural_curvature)}; give two "
                 "finite numbers, the components along the material directors in 1/m"
             )
+        first, second = (float(value) for value in self.natural_curvature)
         object.__setattr__(self, "natural_curvature", (first, second))
         lengths = self.gravito_bending_length, self.length
         refuse_lumps(self.radius, *lengths, math.hypot(first, second))
