@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 from chosen import DEVICE
 from scipy.spatial.transform import Rotation
-from test_newton_gradients import STATE, f64, vec3d
+from test_newton_gradients import STATE, f64, of_node, vec3d
 
 import wrod
 from wrod.newton_solver.gradients import PROPERTIES
@@ -36,10 +36,7 @@ def measure(
     loss: wp.array(dtype=f64),
 ):
     i = wp.tid()
-    w = weight[i]
-    x = wp.dot(w, q[i]) + f64(0.05) * wp.dot(w, v[i]) + f64(9.0) * wp.dot(q[i], q[i])
-    if i < spin.shape[0]:
-        x += f64(0.2) * wp.dot(w, director[i]) + f64(0.003) * spin[i]
+    x = of_node(weight, q, v, director, spin, i)
     if i == 0:
         for k in range(7):
             x += of_body[k] * f64(poses[body][k])

@@ -22,6 +22,23 @@ STEPS = 6
 f64, vec3d = wp.float64, wp.vec3d
 
 
+@wp.func
+def of_node(
+    weight: wp.array(dtype=vec3d),
+    q: wp.array(dtype=vec3d),
+    v: wp.array(dtype=vec3d),
+    director: wp.array(dtype=vec3d),
+    spin: wp.array(dtype=f64),
+    i: int,
+):
+    """What a loss is of a node and the edge after it."""
+    w = weight[i]
+    x = wp.dot(w, q[i]) + f64(0.05) * wp.dot(w, v[i]) + f64(9.0) * wp.dot(q[i], q[i])
+    if i < spin.shape[0]:
+        x += f64(0.2) * wp.dot(w, director[i]) + f64(0.003) * spin[i]
+    return x
+
+
 @wp.kernel
 def measure(
     weight: wp.array(dtype=vec3d),
@@ -34,10 +51,7 @@ def measure(
     loss: wp.array(dtype=f64),
 ):
     i = wp.tid()
-    w = weight[i]
-    x = wp.dot(w, q[i]) + f64(0.05) * wp.dot(w, v[i]) + f64(9.0) * wp.dot(q[i], q[i])
-    if i < spin.shape[0]:
-        x += f64(0.2) * wp.dot(w, director[i]) + f64(0.003) * spin[i]
+    x = of_node(weight, q, v, director, spin, i)
     if i == 0:  # in single precision, so that differences must not see it
         p = poses[capsule]
         x += f64(0.01) * (f64(p[0]) + f64(2.0) * f64(p[2]) + f64(3.0) * f64(p[3]) - f64(p[5]))
