@@ -1,5 +1,7 @@
 """Pictures of an identification, as PNG bytes."""
 
+import textwrap
+
 import numpy as np
 
 from wrod.files.pictures import (
@@ -92,7 +94,7 @@ def force_print(report) -> bytes:
         draw_bands(axes, best.arc_length, best.value, best.stderr, best.components)
         y = f"[{best.unit}]" if best.unit else "relative change"
         dress(axes, x="arc length [m]", y=y, legend=True, ncol=3)
-    title = f"{best.title} (± 2 standard errors)"
+    title = textwrap.fill(f"{best.title} (± 2 standard errors)", 64)
     dress(axes, title if best.seen else f"no print is seen; the likeliest of them:\n{title}")
     axes = figure.add_subplot(1, 2, 2)
     names = [p.name.replace("_", " ") for p in report.prints][::-1]
