@@ -577,10 +577,14 @@ CALLS = {
     "Dynamics": lambda: (
         wrod.Dynamics,
         dict(
-            batch=free(rods()), scheme="bdf2", radius=0.001, air_damping=0.0, drag=None,
-            internal_damping=0.0, contact=None, motion=None, follower=None, force_scale=None,
-            tolerance=1e-6, max_iterations=12, refuses_saddles=True, keeps_recording=False,
+            batch=free(rods()), scheme="bdf2", radius=0.001, air_damping=0.0,
+            internal_damping=0.0, contact=None, motion=None, force_scale=None, tolerance=1e-6,
+            keeps_recording=False,
         ),
+    ),
+    "Dynamics.set_drag": lambda: (
+        wrod.Dynamics(free(rods()), radius=0.001).set_drag,
+        dict(drag=np.zeros((1, 6, 2))),
     ),
     "Dynamics.set_velocity": lambda: (
         wrod.Dynamics(free(rods()), radius=0.001).set_velocity,

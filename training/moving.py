@@ -89,6 +89,7 @@ def _forward(ctx, position, velocity, path, scene: Scene) -> torch.Tensor:
     motion = _Path(scene, path) if len(scene.columns) else None
     dynamics = ctx.dynamics = Dynamics(batch, motion=motion, **scene.options)
     require_differentiable(dynamics)
+    dynamics.refuses_saddles = False
     dynamics.follower = trace = Trace(dynamics, room=1)
     _positions(wp.to_torch(dynamics.velocity))[:] = velocity
     places, ctx.records = [position.clone()], []
@@ -225,7 +226,6 @@ def move_differentiable(
             raise RodError(f"a tensor is {tuple(value.shape)}; give {shape} in float64")
     if scheme == "midpoint":  # which wants the path in the middle of each step, too
         raise RodError("gradients of motion along a path know no scheme 'midpoint'; use bdf2")
-    options = dict(scheme=scheme, radius=radius, air_damping=air_damping, tolerance=_TOLERANCE,
-                   refuses_saddles=False)  # fmt: skip
+    options = dict(scheme=scheme, radius=radius, air_damping=air_damping, tolerance=_TOLERANCE)
     scene = Scene(batch, columns, step, steps, options)
     return _Move.apply(position, velocity, stiffness, gravity, path.flatten(2), scene)

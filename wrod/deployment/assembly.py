@@ -50,12 +50,10 @@ def assemble(
         ),
         friction_field=friction_field,
     )
-    drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
     dynamics = Dynamics(
         batch,
         scheme=discretisation.scheme,
         radius=radius,
-        drag=None if drag is None else np.stack([np.zeros_like(drag), drag], axis=2),
         air_damping=np.array([rod.air_damping or _AIR_DAMPING for rod in rods]),
         internal_damping=np.array([rod.internal_damping for rod in rods]),
         contact=contact,
@@ -64,9 +62,12 @@ def assemble(
         ),
         force_scale=load,
         tolerance=discretisation.tolerance,
-        max_iterations=_ITERATIONS[int(discretisation.tolerance >= _TIGHT)],
         keeps_recording=keeps_recording,
     )
+    dynamics.max_iterations = _ITERATIONS[int(discretisation.tolerance >= _TIGHT)]
+    drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
+    if drag is not None:
+        dynamics.set_drag(drag)
     return batch, contact, dynamics
 
 

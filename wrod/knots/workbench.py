@@ -239,9 +239,9 @@ class Workbench:
             motion=self.held,
             force_scale=load,
             tolerance=self.tolerance,
-            max_iterations=20,
             keeps_recording=True,
         )
+        self.dynamics.max_iterations = 20
         self._feel: Callable[[], object] | None = None
         self.diverged = np.zeros(len(self.rods), dtype=bool)
         self.steps = np.zeros(len(self.rods), dtype=int)

@@ -91,9 +91,10 @@ class RodGroup:
             motion=self,
             bodies=self.bodies,
             keeps_recording=True,
-            **self._damping(),
+            internal_damping=self._internal_damping(),
             **options,
         )
+        self._set_air_damping()
         count, nodes = self.place.shape
         self.changed = wp.zeros(count, dtype=wp.int32, device=device)
         # What a device tells the host without being waited for.
@@ -116,20 +117,20 @@ class RodGroup:
         """(row, edge) of an attribute of rods."""
         return self.layout.node_values(name)[:, :-1]
 
-    def _damping(self) -> dict:
-        """Damping of `Dynamics`: what the rods of a row have in common, and the rest by nodes, as
-        internal damping where gradients ask for it even of rods that have none."""
+    def _set_air_damping(self) -> None:
+        """What the rods of a row have in common, and the rest by nodes."""
         air = self.layout.node_values("air_damping")
-        out = {"air_damping": (common := air.min(axis=1))}
+        self.dynamics.air_damping.assign(common := air.min(axis=1))
         if (air != common[:, None]).any():
             extra = (air - common[:, None]) * self.batch.node_mass.numpy()
-            out["drag"] = np.stack([extra, np.zeros_like(extra)], axis=2)
+            self.dynamics.set_drag(extra[..., None] * [1.0, 0.0])
+
+    def _internal_damping(self) -> np.ndarray:
+        """As `Dynamics` takes it: by nodes where gradients ask for it even of rods without any."""
         internal = self.layout.node_values("internal_damping")
         if (internal == internal[:, :1]).all() and not self.model.requires_grad:
-            out["internal_damping"] = internal[:, 0]
-        else:
-            out["internal_damping"] = np.repeat(internal[:, :, None], 4, axis=2)
-        return out
+            return internal[:, 0]
+        return np.repeat(internal[:, :, None], 4, axis=2)
 
     def _make_rod_contact(
         self, holds: np.ndarray, friction: float | None, stiffness: float | None, smooth: bool

@@ -157,11 +157,9 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
                 raise RodError(f"{name} is {arguments.shown(value)}; give a positive finite number")
         if rod_contact is not None and self_contact is not None:
             raise RodError("give rod_contact or self_contact: the first one covers the second")
-        self.max_step = max_step
+        self.max_step, self._max_iterations = max_step, max_iterations
         self.rod_count = len(der.rod_node_count)
-        self._options = dict(
-            scheme=scheme, inertia=inertia, tolerance=tolerance, max_iterations=max_iterations
-        )
+        self._options = dict(scheme=scheme, inertia=inertia, tolerance=tolerance)
         self._contact_stiffness = contact_stiffness
         friction = self_contact if rod_contact is None else rod_contact
         self._rod_options = dict(friction=friction, stiffness=rod_stiffness, smooth=smooth_rods)
@@ -201,6 +199,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
             )
             for rows in find_rows(model, self._holds, self._own, colliding, self._rods_meet)
         ]
+        for group in self._groups:
+            group.dynamics.max_iterations = self._max_iterations
         self._gradients = Gradients(model, self._groups)
         held = [b for b in self._holds.bodies if not self._own[b]]
         moved = model.body_flags.numpy()[held] & int(newton.BodyFlags.DYNAMIC) != 0

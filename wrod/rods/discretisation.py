@@ -124,8 +124,8 @@ def end_to_end(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 def quadratic_drag(rods: Rod | Sequence[Rod], arc_length: np.ndarray) -> np.ndarray | None:
-    """(rod, node) drag of each node per velocity squared [kg/m], of rods on meshes as `mesh_arrays`
-    takes them; None where no rod has any.
+    """(rod, node, 2) drag of nodes as `Dynamics.set_drag` takes it, per velocity squared [kg/m], of
+    rods on meshes as `mesh_arrays` takes them; None where no rod has any.
 
     Air does not feel what the rod weighs where: the drag per mean line mass is that of every piece.
     """
@@ -134,7 +134,7 @@ def quadratic_drag(rods: Rod | Sequence[Rod], arc_length: np.ndarray) -> np.ndar
     if not drag.any():
         return None
     edge = np.diff(np.atleast_2d(np.asarray(arc_length, dtype=np.float64)), axis=1)
-    return drag[:, None] * cells(edge)
+    return (drag[:, None] * cells(edge))[..., None] * [0.0, 1.0]
 
 
 def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict[str, np.ndarray]:

@@ -65,46 +65,47 @@ class Dynamics(NewtonSteps):
         radius: (rod,) or (rod, node - 1) radius of the section, for the rotational inertia of the
             edges.
         air_damping: (rod,) drag per mass and velocity [1/time].
-        drag: (rod, node, 2) drag of each node per velocity, and per velocity squared, on top of it;
-            default: none.
         inertia: "lumped" at the nodes, or "consistent": of mass that is spread along the edges,
             with which a swinging cable's period is off by a tenth as much.
         internal_damping: Kelvin-Voigt time of the material [time], which does not oppose rigid
             motion: (rod,), or for every strain as in `wrod.solvers.viscosity.Viscosity`.
         contact: what the rods touch, one or several, or None; at most one `RodContact`.
         motion: what moves prescribed degrees of freedom, or None.
-        follower: what is carried along with the steps, or None.
         bodies: rigid bodies that hold rods and move with them, or None.
         force_scale: (rod,) what residuals are measured against; default: the rod's weight, or
             k_b / L^2 if that is larger.
         tolerance: largest residual of a step over the force scale.
-        max_iterations: of Newton; a step that needs more is halved.
-        refuses_saddles: halve steps, too, whose matrix is indefinite where they end.
         keeps_recording: record the launches of a round on any device, and replay them in later
             calls of `advance` too, for callers that advance step by step. `motion` and contacts
             must then keep their arrays and numbers, or `forget_recording` be called. On a CPU no
             other thread may launch anything meanwhile: it would be recorded too.
 
+    Attributes:
+        max_iterations: of Newton; a step that needs more is halved.
+        refuses_saddles: halve steps, too, whose matrix is indefinite where they end.
+        follower: what is carried along with the steps, or None; see `forget_recording`.
+
     Raises:
         RodError: unknown scheme or inertia, a node without mass, or two `RodContact`.
     """
+
+    max_iterations = 12
+    refuses_saddles = True
+    follower: Follower | None = None
 
     @launching()
     @arguments.checked(
         RodError,
         radius=arguments.numbers_of_any_shape,
         air_damping=arguments.array((), (None,)),
-        drag=arguments.optional(arguments.numbers_of_any_shape),
         internal_damping=arguments.numbers_of_any_shape,
         contact=arguments.optional(
             arguments.either(_IS_CONTACT, arguments.several(_IS_CONTACT, 0))
         ),
         motion=arguments.optional(arguments.like("a motion", "prescribe")),
-        follower=arguments.optional(arguments.like("a follower", "follow")),
         bodies=arguments.optional(arguments.like("rigid bodies", "columns", "push", "carried")),
         force_scale=arguments.optional(arguments.array((), (None,))),
         tolerance=arguments.number(1e-16, 1e3),
-        max_iterations=arguments.whole(0, 10_000),
     )
     def __init__(
         self,
@@ -113,29 +114,22 @@ class Dynamics(NewtonSteps):
         scheme: str = "bdf2",
         radius: np.ndarray | float,
         air_damping: np.ndarray | float = 0.0,
-        drag: np.ndarray | None = None,
         inertia: str = "lumped",
         internal_damping: np.ndarray | float = 0.0,
         contact: Contact | RodContact | Sequence | None = None,
         motion: Motion | None = None,
-        follower: Follower | None = None,
         bodies: Bodies | None = None,
         force_scale: np.ndarray | float | None = None,
         tolerance: float = 1e-6,
-        max_iterations: int = 12,
-        refuses_saddles: bool = True,
         keeps_recording: bool = False,
     ):
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
         if inertia not in ("lumped", "consistent"):
             raise RodError(f"inertia is {inertia!r}; use lumped or consistent")
-        if follower is not None and inertia != "lumped":
-            raise RodError("what follows steps knows lumped inertia only")
         super().__init__(batch)
-        self._scheme, self.max_iterations = SCHEMES.index(scheme), max_iterations
-        self.tolerance, self.refuses_saddles = tolerance, int(refuses_saddles)
-        self.contact, self.motion, self.follower, self.bodies = contact, motion, follower, bodies
+        self._scheme, self.tolerance = SCHEMES.index(scheme), tolerance
+        self.contact, self.motion, self.bodies = contact, motion, bodies
         rods, device = batch.rod_count, batch.device
         if contact is None:
             contact = ()
@@ -161,10 +155,6 @@ class Dynamics(NewtonSteps):
             self.edge_mass = wp.array(edge_masses(batch), dtype=wp.float64, device=device)
         self.air_damping = floats(air_damping, "air_damping")
         self.drag = None
-        if drag is not None:
-            shape = (rods, batch.node_count, 2)
-            drag = np.ascontiguousarray(arguments.spread(drag, shape, "Dynamics: drag", RodError))
-            self.drag = wp.array(drag, dtype=wp.vec2d, device=device)
         # The last change of velocity tells Newton's start, but for what hits something.
         self._growth = 0.0 if self.contacts else 0.5
         self.viscosity = Viscosity(batch, internal_damping)
@@ -186,6 +176,14 @@ class Dynamics(NewtonSteps):
         self._goes_on = self._going[:1]  # a condition of a graph is one number
         self.keeps_recording = keeps_recording
         self._recording: tuple[tuple, object] | None = None
+
+    @arguments.checked(RodError, drag=arguments.numbers_of_any_shape)
+    def set_drag(self, drag: np.ndarray) -> None:
+        """Drag of each node per velocity, and per velocity squared, on top of `air_damping`:
+        (rod, node, 2), broadcast. Before the first step."""
+        shape = (self.batch.rod_count, self.batch.node_count, 2)
+        drag = np.ascontiguousarray(arguments.spread(drag, shape, "Dynamics: drag", RodError))
+        self.drag = wp.array(drag, dtype=wp.vec2d, device=self.batch.device)
 
     def energy(self) -> np.ndarray:
         """(rod,) kinetic plus potential energy, without that of contacts."""

@@ -49,7 +49,7 @@ class NewtonSteps(Steps):
     rounding: wp.array
     tolerance: float
     max_iterations: int
-    refuses_saddles: int
+    refuses_saddles: bool
     _scheme: int
     _growth: float
     _going: wp.array
@@ -153,7 +153,7 @@ class NewtonSteps(Steps):
         self._per_rod(
             pace.judge_step,
             [self.max_iterations, wp.float64(largest), wp.float64(smallest), wp.float64(_GROWTH)]
-            + [self.refuses_saddles, self._scheme, self.system.negative_pivots],
+            + [int(self.refuses_saddles), self._scheme, self.system.negative_pivots],
             [self.pace],
         )
 

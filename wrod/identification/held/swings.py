@@ -115,9 +115,9 @@ def predict_swings(
         radius=np.array([0.5 * swing.cable.diameter for swing, _ in cases]),
         # The time belongs to the stiffness that hanging shows, not to that before the slip.
         internal_damping=np.array([[[m.damping * m.kept]] for _, m in cases]),
-        refuses_saddles=False,
         keeps_recording=device == "cpu",
     )
+    dynamics.refuses_saddles = False
     dynamics.set_velocity(np.array(velocity))
     counts = np.array([len(swing.time) for swing, _ in cases])
     # Halves of an interval: the motion starts halfway between the first two frames.

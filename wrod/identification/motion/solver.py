@@ -155,16 +155,15 @@ class MotionRun:
             self.batch,
             scheme="bdf2",
             radius=np.sqrt(2.0 * SPIN_INERTIA / (density * length)),
-            drag=np.stack([values["linear_drag"], values["quadratic_drag"]], axis=1),
             internal_damping=viscous[None],
             motion=self,
-            follower=self.tangents,
             force_scale=mass.sum() * np.linalg.norm(values["gravity"], axis=-1).mean(),
             tolerance=_TOLERANCE,
-            max_iterations=_MAX_ITERATIONS,
-            # Windows are predicted with the steps that their frames give.
-            refuses_saddles=False,
         )
+        self.dynamics.set_drag(np.stack([values["linear_drag"], values["quadratic_drag"]], axis=1))
+        self.dynamics.follower, self.dynamics.max_iterations = self.tangents, _MAX_ITERATIONS
+        # Windows are predicted with the steps that their frames give.
+        self.dynamics.refuses_saddles = False
         self.taken = 0
 
     def prescribe(self, running, time, step, start: RodState) -> None:
