@@ -19,7 +19,6 @@ from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import StepMatrix, entry
 from wrod.kernels.stepping.bodies import (
     Body,
-    BodyMotion,
     Hold,
     held_force,
     inertia_of,
@@ -35,8 +34,8 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class BodySteps:
-    """Bodies of one step of every row (row, slot), or of several steps, row by row and step after
-    step: centres, rotations and momenta at its end and its start, rotations a step earlier."""
+    """Bodies of one step of every row (row, slot): centres, rotations and momenta at its end and
+    its start, rotations a step earlier."""
 
     place: wp.array2d(dtype=wp.vec3d)
     turn: wp.array2d(dtype=wp.quatd)
@@ -55,54 +54,6 @@ class WantedBodies:
     turn: wp.array2d(dtype=wp.vec3d)
     velocity: wp.array2d(dtype=wp.vec3d)
     momentum: wp.array2d(dtype=wp.vec3d)
-
-
-@wp.kernel
-def keep_bodies(
-    # State in:
-    accepted: wp.array(dtype=wp.int32),
-    count: wp.array(dtype=wp.int32),
-    now: BodyMotion,
-    before: BodyMotion,
-    older: BodyMotion,
-    # Out:
-    kept: BodySteps,
-):
-    """Of accepted steps, as long as there is room."""
-    r, s = wp.tid()
-    k = count[r] * count.shape[0] + r
-    if accepted[r] == 0 or k >= kept.place.shape[0]:
-        return
-    kept.place[k, s] = now.place[r, s]
-    kept.turn[k, s] = now.turn[r, s]
-    kept.momentum[k, s] = now.momentum[r, s]
-    kept.place_before[k, s] = before.place[r, s]
-    kept.turn_before[k, s] = before.turn[r, s]
-    kept.momentum_before[k, s] = before.momentum[r, s]
-    kept.turn_older[k, s] = older.turn[r, s]
-
-
-@wp.kernel
-def recall_bodies(
-    # In:
-    kept: BodySteps,
-    count: wp.array(dtype=wp.int32),
-    back: int,
-    # Out:
-    step: BodySteps,
-):
-    """The step that is `back` before the last of each row."""
-    r, s = wp.tid()
-    k = (count[r] - 1 - back) * count.shape[0] + r
-    if k < 0:
-        return
-    step.place[r, s] = kept.place[k, s]
-    step.turn[r, s] = kept.turn[k, s]
-    step.momentum[r, s] = kept.momentum[k, s]
-    step.place_before[r, s] = kept.place_before[k, s]
-    step.turn_before[r, s] = kept.turn_before[k, s]
-    step.momentum_before[r, s] = kept.momentum_before[k, s]
-    step.turn_older[r, s] = kept.turn_older[k, s]
 
 
 @wp.kernel
@@ -355,31 +306,3 @@ def want_middle(
     now.velocity[r, s] = TWO * now.velocity[r, s]
     before.momentum[r, s] = before.momentum[r, s] - now.momentum[r, s]
     now.momentum[r, s] = TWO * now.momentum[r, s]
-
-
-@wp.kernel
-def go_back_bodies(
-    # State in:
-    active: wp.array(dtype=wp.int32),
-    # State in and out:
-    now: WantedBodies,
-    before: WantedBodies,
-    older: WantedBodies,
-):
-    """The start of the step is the end of the one before."""
-    r, s = wp.tid()
-    if active[r] == 0:
-        return
-    none = wp.vec3d()
-    now.place[r, s] = before.place[r, s]
-    now.turn[r, s] = before.turn[r, s]
-    now.velocity[r, s] = before.velocity[r, s]
-    now.momentum[r, s] = before.momentum[r, s]
-    before.place[r, s] = older.place[r, s]
-    before.turn[r, s] = older.turn[r, s]
-    before.velocity[r, s] = older.velocity[r, s]
-    before.momentum[r, s] = older.momentum[r, s]
-    older.place[r, s] = none
-    older.turn[r, s] = none
-    older.velocity[r, s] = none
-    older.momentum[r, s] = none

@@ -12,7 +12,7 @@ from wrod.kernels.stepping.bodies import Hold, turn_to
 from wrod.kernels.stepping.carrying import as_pose
 from wrod.kernels.stepping.exchange import Place, capsule_turn
 from wrod.kernels.stepping.model_adjoint import WantedModel
-from wrod.kernels.stepping.trace import OneStep, Wanted
+from wrod.kernels.stepping.trace import OneStep, Wanted, left_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -142,7 +142,7 @@ def want_poses(
         pose = as_pose(body_q[h.body])
         turn = pose.rotation * h.rotation
         arm = wp.quat_rotate(pose.rotation, h.position)
-    left = wp.clamp(step.left[r] / duration, ZERO, ONE)
+    left = wp.clamp(left_of(step, r) / duration, ZERO, ONE)
     force = node(held, r, h.node)
     torque = wp.vec3d(ZERO, ZERO, ZERO)
     if h.kind == 2:

@@ -27,36 +27,6 @@ wp.set_module_options({"enable_backward": False})
 STENCIL = wp.constant(11)
 
 
-@wp.kernel
-def keep_flow(
-    # State in:
-    accepted: wp.array(dtype=wp.int32),
-    count: wp.array(dtype=wp.int32),
-    node: wp.array2d(dtype=Inelastic),
-    # Out:
-    kept: wp.array3d(dtype=Inelastic),
-):
-    """Of accepted steps, as long as there is room, what nodes were at the start."""
-    r, i = wp.tid()
-    if accepted[r] != 0 and count[r] < kept.shape[0]:
-        kept[count[r], r, i] = node[r, i]
-
-
-@wp.kernel
-def recall_flow(
-    # In:
-    kept: wp.array3d(dtype=Inelastic),
-    count: wp.array(dtype=wp.int32),
-    back: int,
-    # Out:
-    node_out: wp.array2d(dtype=Inelastic),
-):
-    """Of the step that is `back` before the last of each rod."""
-    r, i = wp.tid()
-    if count[r] > back:
-        node_out[r, i] = kept[count[r] - 1 - back, r, i]
-
-
 @wp.struct
 class Remembering:
     """What memory has of the rods' model."""

@@ -11,7 +11,7 @@ psi_(n+1) = psi_n + b . de_(n+1) + a . de_n.
 import warp as wp
 from wrod.kernels.elastic.frames import TWO, ZERO, edge
 from wrod.kernels.stepping.adjoint import holonomy, turned
-from wrod.kernels.stepping.trace import Kept, OneStep, Wanted
+from wrod.kernels.stepping.trace import OneStep, Wanted
 
 wp.set_module_options({"enable_backward": False})
 
@@ -19,39 +19,15 @@ FOUR = wp.constant(wp.float64(4.0))
 
 
 @wp.kernel
-def recall_end(
-    # In:
-    kept: Kept,
-    count: wp.array(dtype=wp.int32),
-    back: int,
-    last_dof: wp.array2d(dtype=wp.float64),
-    last_director: wp.array2d(dtype=wp.vec3d),
+def find_halfway(
+    # State in:
+    step: OneStep,
     # Out:
-    end: OneStep,
+    active_out: wp.array(dtype=wp.int32),
 ):
-    """Where the step that is `back` before the last of each rod ended: where the next one began.
-    `active` are those that were of the midpoint rule. Launched over (rod, dof)."""
-    r, a = wp.tid()
-    k = count[r] - 1 - back
-    if a == 0:
-        halfway = int(0)
-        if k >= 0:
-            if kept.span[k, r] < kept.whole[k, r]:
-                halfway = int(1)
-            end.left[r] = kept.left[k, r]
-        end.active[r] = halfway
-    if k < 0:
-        return
-    last = k + 1 == count[r]
-    if last:
-        end.dof[r, a] = last_dof[r, a]
-    else:
-        end.dof[r, a] = kept.dof_before[k + 1, r, a]
-    if a < end.director.shape[1]:
-        if last:
-            end.director[r, a] = last_director[r, a]
-        else:
-            end.director[r, a] = kept.director_before[k + 1, r, a]
+    """The steps that were of the midpoint rule."""
+    r = wp.tid()
+    active_out[r] = wp.where(step.active[r] != 0 and step.span[r] < step.whole[r], 1, 0)
 
 
 @wp.kernel

@@ -111,7 +111,7 @@ class Taken:
     duration: float
     previous: Taken | None
     tape: weakref.ref
-    wanted: list[dict[str, wp.array]] | None = None
+    wanted: list[list[wp.array]] | None = None
 
 
 class GroupGradients:
@@ -198,9 +198,8 @@ class GroupGradients:
         adjoint.clear()
         self._anchor.zero_()
         if taken.wanted is not None:
-            for (_, level), wanted in zip(adjoint.known, taken.wanted, strict=True):
-                for name, array in wanted.items():
-                    wp.copy(getattr(level, name), array)
+            for level, wanted in zip(adjoint.levels, taken.wanted, strict=False):
+                level.assign(wanted)
             taken.wanted = None
         body_q = ends.body_q
         retained = body_q is not None and body_q.retain_grad
@@ -273,10 +272,7 @@ class GroupGradients:
         )
         batch.launch(kernels.want_nodes_read, shape, [group.place], [now, by_q, by_qd])
         if taken.previous is not None:
-            taken.previous.wanted = [
-                {name: wp.clone(getattr(level, name)) for name in struct.vars}
-                for struct, level in adjoint.known
-            ]
+            taken.previous.wanted = [level.clone() for level in adjoint.levels[:2]]
         self._want_properties(adjoint)
 
     def _want_bodies(self, bodies: BodyAdjoint, taken: Taken, ends: Ends) -> None:

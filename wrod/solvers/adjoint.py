@@ -11,7 +11,7 @@ from wrod.kernels.contact import plane_adjoint, planes
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import adjoint as kernels
 from wrod.kernels.stepping import midpoint_adjoint, model_adjoint
-from wrod.kernels.stepping.body_adjoint import WantedBodies
+from wrod.kernels.stepping.body_adjoint import BodySteps, WantedBodies
 from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.trace import OneStep, Wanted, go_back, recall_step
 from wrod.rods.state import Derivatives, RodState
@@ -20,6 +20,7 @@ from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.flow_adjoint import FlowAdjoint
 from wrod.solvers.inertia import add_inertia
 from wrod.solvers.property_adjoint import PropertyAdjoint
+from wrod.solvers.step_parts import StepParts
 from wrod.solvers.steps import SCHEMES
 from wrod.solvers.trace import (
     Record,
@@ -54,7 +55,7 @@ class StepAdjoint:
         held: (rod, dof) what is wanted of what is moved, at the end of the step gone through last.
         step: that step, `wrod.kernels.stepping.trace.OneStep`.
         gradient: (rod, dof) its residual.
-        known: what steps before may have to know: structs, `now` and `before` of rods and bodies.
+        levels: all that is wanted, of rods and bodies, as in `now`, `before` and `older`.
         bodies: the adjoint of the bodies that hold rods, or None.
 
     Raises:
@@ -79,15 +80,16 @@ class StepAdjoint:
             return wp.zeros((rods, *shape), dtype=dtype, device=device)
 
         self.now, self.before, self.older = (make_wanted(dynamics) for _ in range(3))
-        self._levels = (self.now, self.before, self.older)
-        arrays = step_arrays(dynamics)
+        arrays = {name: wp.zeros_like(a) for name, a in step_arrays(dynamics).items()}
+        recalled = list(arrays.values())
         arrays["active"] = wp.zeros(rods, dtype=wp.int32, device=device)
         self.step = filled(OneStep(), arrays)
         self._end = filled(OneStep(), arrays)
         self._goes_halfway = SCHEMES[dynamics._scheme] == "midpoint"
         if self._goes_halfway:
-            for name in ("active", "left", "dof", "tangent", "director"):
+            for name in ("active", "dof", "tangent", "director"):
                 setattr(self._end, name, wp.zeros_like(arrays[name]))
+            self._end.span = self._end.whole
             self._turn = floats(nodes - 1)
         self._state = RodState(
             arrays["dof"], arrays["tangent"], arrays["director"], arrays["twist"]
@@ -120,12 +122,14 @@ class StepAdjoint:
         self.bodies = None if dynamics.bodies is None else BodyAdjoint(dynamics.bodies)
         moved = np.asarray(moved, dtype=np.int32)
         self._x = floats(1, dofs, dtype=banded_lu.ALONE)
-        self.known = [(Wanted, self.now), (Wanted, self.before)]
         if self.bodies is not None:
             carried = (dynamics.bodies.carried.numpy() != 0) & (batch.free.numpy() == 0)
             moved = np.where(carried, 2, moved)
             self._x = self.bodies.x
-            self.known += [(WantedBodies, w) for w in (self.bodies.now, self.bodies.before)]
+            recalled += [getattr(self.bodies.step, name) for name in BodySteps.vars]
+        if self._past is not None:
+            recalled.append(self._past.node)
+        self._parts, self.levels = StepParts(recalled), self._all_wanted()
         self.moved = wp.array(moved, dtype=wp.int32, device=device)
         none = floats(0)
         self._edge_mass = none if dynamics.edge_mass is None else dynamics.edge_mass
@@ -137,11 +141,22 @@ class StepAdjoint:
             stiffness_of_mass = np.zeros((rods, nodes))
         self._stiffness_share = wp.array(stiffness_of_mass, dtype=wp.float64, device=device)
 
+    def _all_wanted(self) -> list[StepParts]:
+        """Of rods and bodies, as in `now`, `before` and `older`."""
+        wanted = [[(Wanted, level)] for level in (self.now, self.before, self.older)]
+        if self.bodies is not None:
+            of_bodies = self.bodies.now, self.bodies.before, self.bodies.older
+            for level, own in zip(wanted, of_bodies, strict=True):
+                level.append((WantedBodies, own))
+        return [
+            StepParts([getattr(one, name) for struct, one in level for name in struct.vars])
+            for level in wanted
+        ]
+
     def clear(self) -> None:
         """Want nothing any more."""
-        for level in self._levels:
-            for name in Wanted.vars:
-                getattr(level, name).zero_()
+        for level in self.levels:
+            level.clear()
         self._properties.clear()
         self.by_friction.zero_()
         if self.bodies is not None:
@@ -154,13 +169,19 @@ class StepAdjoint:
             held: called with where rods are (`OneStep`), once or, where steps go on from their
                 middle, twice a step: `held` is what is wanted of what is moved there.
         """
-        batch = self.batch
-        shape = (batch.rod_count, batch.dof_count)
+        batch, end = self.batch, self._end
         for back in range(record.most):
+            if self._goes_halfway:
+                # A step ends where the next one began.
+                start = self.step.dof_before, self.step.director_before
+                after = record.end if back == 0 else start
+                for own, there in zip((end.dof, end.director), after, strict=True):
+                    wp.copy(own, there)
             self.recall(record, back)
             if self._goes_halfway:
-                recorded = [record.steps, record.count, back, *record.end]
-                batch.launch(midpoint_adjoint.recall_end, shape, recorded, [self._end])
+                batch.launch(
+                    midpoint_adjoint.find_halfway, batch.rod_count, [self.step], [end.active]
+                )
             if self._past is not None:
                 self._past.want_flowed(self.step, self.now, self.model)
             self._settle(self.step.active, self._end)
@@ -177,19 +198,17 @@ class StepAdjoint:
             self._want_before()
             if held is not None:
                 held(self.step)
-            batch.launch(go_back, shape, [self.step.active], list(self._levels))
-            if self.bodies is not None:
-                self.bodies.go_back(self.step.active)
+            levels = [level.part for level in self.levels]
+            self.levels[0].launch(go_back, [self.step.active], levels)
 
     def recall(self, record: Record, back: int) -> None:
         """Take up the step that is `back` before the last of each rod, in `step`."""
-        batch, count = self.batch, record.count
-        shape = (batch.rod_count, batch.dof_count)
-        batch.launch(recall_step, shape, [record.steps, count, back], [self.step])
+        outputs = [self._parts.part, self.step.active]
+        self._parts.launch(recall_step, [record.steps, record.count, back], outputs)
         if self.bodies is not None:
-            self.bodies.recall(record.bodies, count, back, self.step)
+            self.bodies.find_ends(self.step)
         if self._past is not None:
-            self._past.recall(record.past, count, back, self.step)
+            self._past.measure_skew(self.step)
 
     def settle(self, chosen: wp.array) -> None:
         """Let what is wanted of strains at the start of the rods that are not 0 in `chosen` (rod,)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import warp as wp
 
@@ -12,46 +12,12 @@ from wrod.kernels.stepping import body_system
 from wrod.kernels.stepping.bodies import BodyMotion
 from wrod.solvers.bodies import Bodies
 
-if TYPE_CHECKING:
-    from wrod.solvers.newton_steps import NewtonSteps
 
-_TURNS = ("turn", "turn_before", "turn_older")
-
-
-def body_steps(bodies: Bodies, steps: int = 1) -> Any:
-    """Room for steps of bodies, `wrod.kernels.stepping.body_adjoint.BodySteps`."""
-    rows, slots = bodies.body.shape
-    out = kernels.BodySteps()
-    for name in kernels.BodySteps.vars:
-        dtype = wp.quatd if name in _TURNS else wp.vec3d
-        array = wp.zeros((steps * rows, slots), dtype=dtype, device=bodies.batch.device)
-        setattr(out, name, array)
-    return out
-
-
-class BodyTrace:
-    """Keeps steps of bodies, for `wrod.solvers.trace.Trace`.
-
-    Args:
-        bodies: whose steps.
-        room: steps that are kept.
-    """
-
-    def __init__(self, bodies: Bodies, room: int):
-        self._bodies, self._kept = bodies, body_steps(bodies, room)
-
-    def follow(self, dynamics: NewtonSteps, count: wp.array) -> None:
-        """Keep the accepted steps, `count` (row,) having been kept."""
-        bodies = self._bodies
-        inputs = [dynamics.accepted, count, bodies.now, bodies.before, bodies.older]
-        bodies.batch.launch(kernels.keep_bodies, bodies.body.shape, inputs, [self._kept])
-
-    def take(self, most: int) -> Any:
-        """The first steps, of which no row has more than `most`."""
-        out, rows = kernels.BodySteps(), self._bodies.batch.rod_count
-        for name in kernels.BodySteps.vars:
-            setattr(out, name, wp.clone(getattr(self._kept, name)[: max(most, 1) * rows]))
-        return out
+def body_steps(bodies: Bodies) -> list[wp.array]:
+    """What the bodies' part of the step is made of that is taken now, in the order of
+    `wrod.kernels.stepping.body_adjoint.BodySteps`."""
+    now, before = ([m.place, m.turn, m.momentum] for m in (bodies.now, bodies.before))
+    return [*now, *before, bodies.older.turn]
 
 
 class BodyAdjoint:
@@ -81,11 +47,13 @@ class BodyAdjoint:
             return wp.zeros((shape[0], *size), dtype=wp.float64, device=device)
 
         self.now, self.before, self.older = (kernels.WantedBodies() for _ in range(3))
-        self._levels = (self.now, self.before, self.older)
-        for level in self._levels:
+        for level in (self.now, self.before, self.older):
             for name in kernels.WantedBodies.vars:
                 setattr(level, name, vectors())
-        self.step, self.end = body_steps(bodies), body_steps(bodies)
+        self.step, self.end = kernels.BodySteps(), kernels.BodySteps()
+        for steps in (self.step, self.end):
+            for name, array in zip(kernels.BodySteps.vars, body_steps(bodies), strict=True):
+                setattr(steps, name, wp.zeros_like(array))
         self.pose, self.force, self.torque = self.step, vectors(), vectors()
         self._motion_at = BodyMotion()
         self._motion_at.place, self._motion_at.turn = self.step.place, self.step.turn
@@ -101,18 +69,14 @@ class BodyAdjoint:
         )
 
     def clear(self) -> None:
-        """Want nothing any more."""
-        for level in self._levels:
-            for name in kernels.WantedBodies.vars:
-                getattr(level, name).zero_()
+        """Want nothing of forces any more."""
         self.force.zero_()
         self.torque.zero_()
 
-    def recall(self, steps: Any, count: wp.array, back: int, at: Any) -> None:
-        """Take up the step that is `back` before the last of each row, `at` being the rods'."""
-        batch, shape = self._batch, self.bodies.body.shape
-        batch.launch(kernels.recall_bodies, shape, [steps, count, back], [self.step])
-        batch.launch(kernels.find_ends, shape, [at, self.step], [self.end])
+    def find_ends(self, at: Any) -> None:
+        """Of the step that was taken up, `at` being the rods'."""
+        shape = self.bodies.body.shape
+        self._batch.launch(kernels.find_ends, shape, [at, self.step], [self.end])
 
     def go_to_middle(self, at: Any, held: wp.array) -> None:
         """From the ends of the steps of the midpoint rule (`at`): what is wanted of what bodies
@@ -189,8 +153,3 @@ class BodyAdjoint:
             [body, at, self.step, self.multiplier, self.now],
             [self.before, self.older, by_gravity, self.force, self.torque],
         )
-
-    def go_back(self, active: wp.array) -> None:
-        """Let the start of the step be the end of the one before."""
-        body = self.bodies.body
-        self._batch.launch(kernels.go_back_bodies, body.shape, [active], list(self._levels))

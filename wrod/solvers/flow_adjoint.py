@@ -2,41 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import warp as wp
 
-from wrod.kernels.elastic.inelastic import DAHL, Inelastic
+from wrod.kernels.elastic.inelastic import DAHL
 from wrod.kernels.stepping import inelastic_adjoint as kernels
 from wrod.rods.batch import RodBatch
-
-if TYPE_CHECKING:
-    from wrod.solvers.newton_steps import NewtonSteps
-
-
-class FlowTrace:
-    """Keeps what nodes remember at the starts of steps, for `wrod.solvers.trace.Trace`.
-
-    Args:
-        batch: of rods that remember.
-        room: steps that are kept.
-    """
-
-    def __init__(self, batch: RodBatch, room: int):
-        self._batch = batch
-        shape = room, batch.rod_count, batch.node_count
-        self._kept = wp.zeros(shape, dtype=Inelastic, device=batch.device)
-
-    def follow(self, dynamics: NewtonSteps, count: wp.array) -> None:
-        """Keep the accepted steps, `count` (rod,) having been kept."""
-        batch = self._batch
-        inputs = [dynamics.accepted, count, batch.inelastic]
-        shape = batch.rod_count, batch.node_count
-        batch.launch(kernels.keep_flow, shape, inputs, [self._kept])
-
-    def take(self, most: int) -> wp.array:
-        """The first steps, of which no rod has more than `most`."""
-        return wp.clone(self._kept[: max(most, 1)])
 
 
 class FlowAdjoint:
@@ -71,11 +43,8 @@ class FlowAdjoint:
         shape = batch.rod_count, batch.node_count - 2
         batch.launch(kernel, shape, [self._rod, self.node, *inputs], outputs)
 
-    def recall(self, past: wp.array, count: wp.array, back: int, step: Any) -> None:
-        """Take up the step that is `back` before the last of each rod."""
-        batch = self._batch
-        shape = batch.rod_count, batch.node_count
-        batch.launch(kernels.recall_flow, shape, [past, count, back], [self.node])
+    def measure_skew(self, step: Any) -> None:
+        """Of the step that was taken up."""
         if self.skew.shape[1]:
             self._launch(kernels.measure_skew, [step], [self.skew, self.rate])
 

@@ -11,9 +11,9 @@ import warp as wp
 from wrod.errors import RodError
 from wrod.kernels.contact import plane_adjoint
 from wrod.kernels.stepping import trace as kernels
-from wrod.solvers.body_adjoint import BodyTrace
+from wrod.solvers.body_adjoint import body_steps
 from wrod.solvers.contact import Contact
-from wrod.solvers.flow_adjoint import FlowTrace
+from wrod.solvers.step_parts import StepParts
 from wrod.solvers.steps import SCHEMES
 
 if TYPE_CHECKING:
@@ -26,28 +26,31 @@ def planes_of(dynamics: NewtonSteps) -> Contact | None:
     return next((c for c in dynamics.contacts if isinstance(c, Contact)), None)
 
 
-def step_arrays(dynamics: Dynamics, steps: tuple[int, ...] = ()) -> dict[str, wp.array]:
-    """Arrays of `kernels.Kept` (`steps` of them) or of `kernels.OneStep`, by name."""
-    batch, viscous = dynamics.batch, dynamics.viscosity.exists
-    rods, nodes = batch.rod_count, batch.node_count
-    planes = planes_of(dynamics)
-    memory = (0, 0) if planes is None else planes.memory[1].shape[1:]
-    kinds: dict[str, tuple[Any, tuple[int, ...]]] = {
-        "coefficient": (wp.vec3d, ()), "span": (wp.float64, ()), "whole": (wp.float64, ()),
-        "left": (wp.float64, ()),
-        "twist": (wp.float64, (nodes,)), "bristle": (wp.vec3d, memory),
-        "sliding": (wp.int32, memory),
+def step_arrays(dynamics: Dynamics) -> dict[str, wp.array]:
+    """What the step is made of that `dynamics` takes now, by the names of `kernels.OneStep`."""
+    state, start, viscosity = dynamics.batch.state, dynamics.start, dynamics.viscosity
+    out = {
+        "coefficient": dynamics.coefficient, "span": dynamics.span, "whole": dynamics.step,
+        "time": dynamics.time, "until": dynamics.until,
+        "dof": state.dof, "tangent": state.tangent, "director": state.director,
+        "twist": state.reference_twist, "dof_before": start.dof,
+        "tangent_before": start.tangent, "director_before": start.director,
+        "dof_older": dynamics.dof_older, "velocity": dynamics.velocity,
+        "velocity_older": dynamics.velocity_older,
     }  # fmt: skip
-    for name in ("dof", "dof_before", "dof_older", "velocity", "velocity_older"):
-        kinds[name] = wp.float64, (batch.dof_count,)
-    for name in ("tangent", "director", "tangent_before", "director_before"):
-        kinds[name] = wp.vec3d, (nodes - 1,)
-    for name in ("strain", "strain_older"):
-        kinds[name] = wp.vec4d, (nodes if viscous else 0,)
-    return {
-        name: wp.zeros((*steps, rods, *shape), dtype=dtype, device=batch.device)
-        for name, (dtype, shape) in kinds.items()
-    }
+    if viscosity.exists:
+        out |= {"strain": viscosity.strain, "strain_older": viscosity.strain_older}
+    planes = planes_of(dynamics)
+    if planes is not None:
+        _, out["bristle"], out["sliding"] = planes.memory
+    return out
+
+
+def beside_rods(dynamics: Dynamics) -> list[wp.array]:
+    """What it is made of besides: bodies, by the names of `BodySteps`, and what nodes remember."""
+    bodies, past = dynamics.bodies, dynamics.batch.inelastic
+    out = [] if bodies is None else body_steps(bodies)
+    return out if past is None else [*out, past]
 
 
 def filled(struct: Any, arrays: dict[str, wp.array]) -> Any:
@@ -99,21 +102,17 @@ class Record:
     """Steps that a `Trace` has kept.
 
     Attributes:
-        steps: `wrod.kernels.stepping.trace.Kept`.
+        steps: (step, rod, word) of what they were made of; see `StepParts`.
         count: (rod,) steps of each, on the device; `most` is the largest.
         gravity: (rod,) that they were taken under.
         end: (rod, dof) configuration, and (rod, edge) reference directors, after the last.
-        bodies: `wrod.kernels.stepping.body_adjoint.BodySteps` of those that hold rods, or None.
-        past: (step, rod, node) `wrod.kernels.elastic.inelastic.Inelastic` at the starts, or None.
     """
 
-    steps: Any
+    steps: wp.array
     count: wp.array
     most: int
     gravity: wp.array
     end: tuple[wp.array, wp.array]
-    bodies: Any = None
-    past: wp.array | None = None
 
 
 class Trace:
@@ -129,28 +128,13 @@ class Trace:
 
     def __init__(self, dynamics: Dynamics, room: int):
         batch = self.batch = dynamics.batch
-        self.room, viscosity = room, dynamics.viscosity
+        self.room = room
         self._diverged = dynamics.diverged
         self.count = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
         self._touched = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
-        self._arrays = step_arrays(dynamics, (room,))
-        self._kept = filled(kernels.Kept(), self._arrays)
-        state, start = batch.state, dynamics.start
-        now = {
-            "dof": state.dof, "tangent": state.tangent, "director": state.director,
-            "twist": state.reference_twist, "dof_before": start.dof,
-            "tangent_before": start.tangent, "director_before": start.director,
-            "dof_older": dynamics.dof_older, "velocity": dynamics.velocity,
-            "velocity_older": dynamics.velocity_older,
-        }  # fmt: skip
-        if viscosity.exists:
-            now |= {"strain": viscosity.strain, "strain_older": viscosity.strain_older}
         self._planes = planes_of(dynamics)
-        if self._planes is not None:
-            _, now["bristle"], now["sliding"] = self._planes.memory
-        self._now = filled(kernels.OneStep(), now)
-        self._past = None if batch.inelastic is None else FlowTrace(batch, room)
-        self._bodies = None if dynamics.bodies is None else BodyTrace(dynamics.bodies, room)
+        self._parts = StepParts([*step_arrays(dynamics).values(), *beside_rods(dynamics)])
+        self._kept = self._parts.room(room)
 
     def follow(self, dynamics: NewtonSteps) -> None:
         """Keep the accepted steps."""
@@ -166,14 +150,11 @@ class Trace:
                 plane_adjoint.find_unknown, shape, [self._planes.memory[0], *touched[:3]],
                 touched[3:],
             )  # fmt: skip
-        dim = (batch.rod_count, batch.dof_count)
-        batch.launch(
-            kernels.keep_step, dim, [dynamics.pace, self.count, self._now], [self._kept]
-        )  # fmt: skip
-        for kept in (self._bodies, self._past):
-            if kept is not None:
-                kept.follow(dynamics, self.count)
-        dynamics._per_rod(kernels.count_step, [dynamics.accepted], [self.count])
+        accepted = dynamics.accepted
+        self._parts.launch(
+            kernels.keep_step, [accepted, self.count, self._parts.part], [self._kept]
+        )
+        dynamics._per_rod(kernels.count_step, [accepted], [self.count])
 
     def take(self) -> Record:
         """What was kept since it was asked last; waits for the device.
@@ -204,17 +185,11 @@ class Trace:
                 "through which gradients are not there; they are through planes that stand still, "
                 "of rods without natural curvature"
             )
-        # Rods that were cut out have taken none.
-        kept = {
-            name: wp.clone(a[: max(most, 1)]) if a.size else a for name, a in self._arrays.items()
-        }
         state = self.batch.state
         return Record(
-            filled(kernels.Kept(), kept),
+            wp.clone(self._kept[: max(most, 1)]),  # none of rods that were cut out
             device_count,
             most,
             wp.clone(self.batch.gravity),
             (wp.clone(state.dof), wp.clone(state.director)),
-            None if self._bodies is None else self._bodies.take(most),
-            None if self._past is None else self._past.take(most),
         )
