@@ -1,15 +1,19 @@
 """Deployments that are shared out to batches and threads."""
 
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from threading import Event
 
 import numpy as np
 import pytest
 import warp as wp
 
 import wrod
-from wrod.deployment import simulate
+from wrod.deployment import sharing_out, simulate
 from wrod.deployment.simulate import simulate_deployments
+from wrod.deployment.tangents import Directions, lay
+from wrod.solvers import dynamics
 
 needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
 DEVICES = ["cpu", pytest.param("cuda:0", marks=needs_gpu)]
@@ -24,7 +28,7 @@ def test_deployments_shared_out_are_those_of_one_batch(device, letter, monkeypat
     ]
     how = dict(discretisation=wrod.Discretisation(0.03, 0.02), device=device)
     together = simulate_deployments(trials, **how)
-    monkeypatch.setattr(simulate, "_chunks", lambda count, device, threads: ([[0, 2], [1]], 1))
+    monkeypatch.setattr(simulate, "chunks", lambda count, device, threads: ([[0, 2], [1]], 1))
     shared_out = simulate_deployments(trials, **how)
     for one, other in zip(together, shared_out, strict=True):
         assert one.steps == other.steps
@@ -47,3 +51,54 @@ def test_threads_of_the_caller_get_what_one_gets_alone():
     with ThreadPoolExecutor(4) as pool:  # one that records would record what the others launch
         found = [(pool.submit(lay, k), pool.submit(grasp, k)) for k in range(2)]
         assert [[one.result() for one in pair] for pair in found] == [alone] * 2
+
+
+@pytest.mark.parametrize("derived", [False, True])
+def test_threads_record_and_replay_what_one_thread_does(letter, monkeypatch, derived):
+    """To the last bit, each its own recording, while the other replays."""
+    pattern, rod = wrod.pattern("letter-C"), wrod.rod("green-vps")
+    trials = [
+        wrod.Trial(pattern, rod, letter, wrod.Friction(0.6), wrod.Disturbance.random(seed))
+        for seed in range(3)
+    ]
+    directions = [Directions.of_rod(len(letter))] * 3 if derived else None
+    recorded = []
+    record = dynamics.record
+
+    def noted(*arguments):
+        graph = record(*arguments)
+        recorded.append(graph is not None)
+        return graph
+
+    monkeypatch.setattr(dynamics, "record", noted)
+    found = []
+    for threads in ("1", "2"):
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+        monkeypatch.setattr(sharing_out, "usable_cores", lambda: 2)
+        found.append(lay(trials, directions, discretisation=wrod.Discretisation(0.03, 0.02)))
+        assert sum(recorded) == int(threads)
+        recorded.clear()
+    for one, other in zip(*found, strict=True):
+        assert one.steps == other.steps
+        assert (one.centerline == other.centerline).all()
+        assert (one.tangent == other.tangent).all()
+
+
+def test_a_thread_that_fails_ends_the_others():
+    begun, ended = Event(), Event()
+
+    def run(part, still_wanted):
+        if part == [0]:
+            begun.wait(10.0)
+            raise ValueError("the first")
+        begun.set()
+        try:
+            while True:
+                still_wanted()
+                time.sleep(1e-3)
+        finally:
+            ended.set()
+
+    with pytest.raises(ValueError, match="the first"):
+        sharing_out.shared_out(run, [[0], [1]], 2)
+    assert ended.is_set()

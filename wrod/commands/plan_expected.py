@@ -39,7 +39,7 @@ def expecting(
         with cost.progress_bar(unit="s", delay=1.0, desc="laying it in simulation") as bar:
 
             def watch(times) -> None:
-                bar.update(float(times.min()) - bar.n)
+                bar.update(max(float(times.min()) - bar.n, 0.0))
 
             _put(trajectory, lambda: lay(watch))
         yield lambda: False

@@ -1,9 +1,6 @@
 """Deployments in simulation: a grip lays a rod along a pattern on a table with friction."""
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -22,6 +19,7 @@ from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import Disturbance, Setup, disturb, mesh, prepare_deployment
+from wrod.deployment.sharing_out import chunks, shared_out
 from wrod.deployment.trial import Trial
 from wrod.errors import RodError
 from wrod.kernels.stepping import pace
@@ -36,10 +34,6 @@ from wrod.solvers.compiling import compile_steps
 from wrod.solvers.contact import Friction, FrictionField
 from wrod.solvers.readback import read
 from wrod.solvers.recording import launching
-
-# Rods stepped at once on a CPU, and cores from which on threads, which cannot record their launches
-# and spend several times the processor time, are faster than one that replays them.
-_CPU_CHUNK, _MANY_CORES = 16, 8
 
 
 @arguments.checked(
@@ -134,8 +128,7 @@ def simulate_deployments(
         discretisation: how finely it is computed.
         frame_interval: keep the rod's states at its multiples [s].
         device: "cpu", "cuda:0", "auto".
-        threads: CPU threads; default: one, which replays recorded launches, or one per core where
-            there are eight or more.
+        threads: CPU threads; default: one per core, but no more than OMP_NUM_THREADS says.
         friction_field: how the table's friction varies over x and y; default: it does not.
         progress: called with the fraction done since the last call, of all trials.
     """
@@ -149,51 +142,26 @@ def simulate_deployments(
         refuse_other_plans(trial)
     compile_steps(device)
     setups = prepare_trials(trials, hold, release, speed, discretisation)
-    chunks, workers = _chunks(len(trials), device, threads)
-    parallel = workers > 1 and len(chunks) > 1
     options: dict[str, Any] = dict(
-        device=device,
-        friction_field=friction_field,
-        # Recording is the process's: threads would record each other's launches.
-        keeps_recording=device == "cpu" and not parallel,
+        device=device, friction_field=friction_field, keeps_recording=device == "cpu"
     )
 
-    def report(fraction: float, count: int) -> None:
-        if progress is not None:
-            progress(fraction * count / len(trials))
+    def run(chunk: list[int], still_wanted: Callable[[], None]) -> list[Deployment]:
+        def report(fraction: float) -> None:
+            still_wanted()
+            if progress is not None:
+                progress(fraction * len(chunk) / len(trials))
 
-    def run(chunk: list[int]) -> list[Deployment]:
         return _simulate(
             [trials[i] for i in chunk],
             [setups[i] for i in chunk],
             discretisation,
             frame_interval,
-            lambda fraction: report(fraction, len(chunk)),
+            report,
             **options,
         )
 
-    return _shared_out(run, chunks, workers if parallel else 1)
-
-
-def _shared_out(run: Callable, chunks: list[list[int]], workers: int) -> list:
-    """What `run` makes of the trials of every chunk, in their own order."""
-    if workers > 1:
-        with ThreadPoolExecutor(workers) as pool:
-            done = list(pool.map(run, chunks))
-    else:
-        done = [run(chunk) for chunk in chunks]
-    of = dict(zip(chain.from_iterable(chunks), chain.from_iterable(done), strict=True))
-    return [of[i] for i in sorted(of)]
-
-
-def _chunks(count: int, device: str, threads: int | None) -> tuple[list[list[int]], int]:
-    """Trials that are simulated at once, and the threads that do."""
-    cores, size, workers = os.cpu_count() or 1, count, 1
-    if device == "cpu":
-        workers = threads or (cores if cores >= _MANY_CORES else 1)
-        size = max(1, min(_CPU_CHUNK, -(-count // workers)))
-    every = list(range(count))
-    return [every[first : first + size] for first in range(0, count, size)], workers
+    return shared_out(run, *chunks(len(trials), device, threads))
 
 
 def nodes_needed(trials: list[Trial], spacing: float) -> int:

@@ -15,13 +15,15 @@ from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.result import interpolation
 from wrod.deployment.setup import Setup, blend, one_hemisphere
-from wrod.deployment.simulate import prepare_trials, with_remainder_of
+from wrod.deployment.sharing_out import chunks, shared_out
+from wrod.deployment.simulate import nodes_needed, prepare_trials, with_remainder_of
 from wrod.deployment.trial import Trial
 from wrod.errors import RodError
 from wrod.rods.device import resolve_device
 from wrod.rods.model import RodModel
 from wrod.rods.rotation import left_jacobian
 from wrod.solvers.contact import FrictionField
+from wrod.solvers.recording import launching
 
 Watch = Callable[[np.ndarray], object]
 
@@ -132,13 +134,41 @@ def lay(
     device = resolve_device(device)
     if directions is not None:
         _check(trials, directions, discretisation.scheme)
-    setups = prepare_trials(trials, hold, release, speed, discretisation)
     if displacements is None:
         displacements = [np.zeros((len(trial.trajectory), 6)) for trial in trials]
+    released = release if isinstance(release, Sequence) else [release] * len(trials)
+    count = discretisation.node_count or nodes_needed(trials, discretisation.spacing)
+    mesh = replace(discretisation, node_count=count)
+
+    def run(part: list[int], still_wanted: Callable[[], None]) -> list[Laid]:
+        def progress(times: np.ndarray) -> None:
+            still_wanted()
+            if watch is not None:
+                watch(times)
+
+        given, moved = [trials[k] for k in part], [displacements[k] for k in part]
+        told = None if directions is None else [directions[k] for k in part]
+        with launching():
+            setups = prepare_trials(given, hold, [released[k] for k in part], speed, mesh)
+            return _laid(given, setups, told, moved, mesh, device, friction_field, progress)
+
+    return shared_out(run, *chunks(len(trials), device))
+
+
+def _laid(
+    trials: list[Trial],
+    setups: list[Setup],
+    directions: list[Directions] | None,
+    displacements: list[np.ndarray],
+    discretisation: Discretisation,
+    device: str,
+    friction_field: FrictionField | None,
+    progress: Watch,
+) -> list[Laid]:
+    """`lay` of the trials of one batch."""
     moves = [_over_keys(*one) for one in zip(trials, setups, displacements, strict=True)]
     setups = [_displaced(*one) for one in zip(setups, moves, strict=True)]
     columns = None if directions is None else _columns(trials, setups, directions, moves)
-    # One thread that replays its launches is faster than two that make them.
     batch, contact, dynamics = assemble(
         trials,
         setups,
@@ -150,7 +180,7 @@ def lay(
     if columns is not None:
         dynamics.follower = tangents = Tangents(batch, contact, *columns)
     end = dynamics.advance(
-        np.array([s.measure_time for s in setups]), discretisation.step, progress=watch
+        np.array([s.measure_time for s in setups]), discretisation.step, progress=progress
     )
     positions, slip = batch.positions(), contact.slip.numpy()
     rates = np.zeros((len(trials), 0, *positions.shape[1:]))

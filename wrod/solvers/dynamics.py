@@ -18,7 +18,7 @@ from wrod.solvers.inelastic import InternalVariables
 from wrod.solvers.inertia import edge_masses, lumped_masses, rounding_of, usual_force
 from wrod.solvers.newton_steps import Follower, NewtonSteps
 from wrod.solvers.readback import read
-from wrod.solvers.recording import launching, record
+from wrod.solvers.recording import launching, record, replay
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.steps import SCHEMES, Motion
 from wrod.solvers.viscosity import Viscosity
@@ -274,7 +274,7 @@ class Dynamics(NewtonSteps):
             if graph is None:
                 take_round()
             else:
-                wp.capture_launch(graph)
+                replay(graph)
             taken += 1
             going = read(self._going)[1] != 0
             if progress is not None and (graph is not None or taken % _ROUNDS == 0):
@@ -322,7 +322,7 @@ class Dynamics(NewtonSteps):
         key = (duration, step, smallest, self.tolerance)
         graph = self._recorded(key)
         if graph is not None and not device.is_capturing:
-            wp.capture_launch(graph)
+            replay(graph)
             return
         take_rounds()
         if self.keeps_recording and decides and not device.is_capturing:
