@@ -172,9 +172,9 @@ class Unseen:
         """So many, on tables from the least friction to the largest."""
         spread = Spread.of(friction)
         disturbances = [Disturbance.random(_FIRST_SEED + k) for k in range(count)]
-        mus, parts = spread.unseen(count)
+        mus, parts = spread.unseen(count, rod)
         rods = [stretching(rod, part) for part in parts] if spread.stretch else [rod] * count
-        table = np.column_stack([mus, parts]) - spread.middle()
+        table = np.column_stack([mus, parts]) - spread.middle(rod)
         own = [(one.lgb_error, one.natural_curvature) for one in disturbances]
         return cls(pattern, rods, mus, disturbances, np.column_stack([own, table]))
 

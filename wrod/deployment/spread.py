@@ -23,7 +23,9 @@ _REACH = 1.65
 _CORNERS = ((0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (-0.5, -0.5))
 # A rod is believed to stretch as a solid one of its stiffness in bending; braids hardly do. The
 # sample is in between: where it hangs from its end it is shorter by this [L_gb], unless that leaves
-# less than this part of its stretch. No path lays rods alike that differ by much more.
+# less than this part of its stretch. No path lays rods alike that differ by much more, and none has
+# to: what is believed to hang longer by over twice that is soft for its thickness as rubber is and
+# no braid, and the stretch of a solid section follows from its bending.
 _LESS_STRETCH, _LEAST_STRETCH = 0.075, 0.1
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
@@ -70,10 +72,7 @@ class Spread:
         """(rod, friction, disturbance) of rods that cover it evenly, from low friction to high, in
         pairs that lie opposite each other: what errors answer linearly to then moves no plan."""
         low, high = self.friction
-        held = rod
-        if self.stretch:
-            hanging = (rod.length / rod.gravito_bending_length) ** 2 / (4.0 * rod.stretch_ratio)
-            held = stretching(rod, max(1.0 - _LESS_STRETCH / hanging, _LEAST_STRETCH))
+        held = stretching(rod, self._stretches(rod, _LESS_STRETCH)) if self.stretch else rod
         out = []
         for i in range(count):
             aside, bent = _CORNERS[i % 4] if i - i % 2 + 1 < count else (0.0, 0.0)
@@ -85,19 +84,25 @@ class Spread:
             out.append((held, Friction(mu), disturbance))
         return out
 
-    def unseen(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def unseen(self, count: int, rod: RodModel | RodMaterial) -> tuple[np.ndarray, np.ndarray]:
         """Friction (count,) from low to high, and the part (count,) of what is believed that a rod
         stretches by, which covers what may be in an order of its own."""
         shares = (_GOLDEN * np.arange(1, count + 1)) % 1.0
-        parts = (
-            _LEAST_STRETCH + (1.0 - _LEAST_STRETCH) * shares if self.stretch else 0.0 * shares + 1
-        )
-        return np.linspace(*self.friction, count), parts
+        least = self._least_stretch(rod)
+        return np.linspace(*self.friction, count), least + (1.0 - least) * shares
 
-    def middle(self) -> tuple[float, float]:
+    def middle(self, rod: RodModel | RodMaterial) -> tuple[float, float]:
         """Of what the friction and the part of the stretch may be."""
-        least = _LEAST_STRETCH if self.stretch else 1.0
-        return 0.5 * sum(self.friction), 0.5 * (least + 1.0)
+        return 0.5 * sum(self.friction), 0.5 * (self._least_stretch(rod) + 1.0)
+
+    def _least_stretch(self, rod: RodModel | RodMaterial) -> float:
+        return self._stretches(rod, 2.0 * _LESS_STRETCH) if self.stretch else 1.0
+
+    @staticmethod
+    def _stretches(rod: RodModel | RodMaterial, less: float) -> float:
+        """The part of its stretch with which a rod that hangs is shorter by so much [L_gb]."""
+        hanging = (rod.length / rod.gravito_bending_length) ** 2 / (4.0 * rod.stretch_ratio)
+        return max(1.0 - less / hanging, _LEAST_STRETCH)
 
 
 def stretching(rod: RodModel | RodMaterial, part: float) -> RodModel | RodMaterial:
