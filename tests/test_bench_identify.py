@@ -8,12 +8,13 @@ from hidden import SETS, draw, kept
 
 from wrod.bench.continuous_rod import excess_of
 from wrod.bench.hidden_sets import TRIALS, cases
-from wrod.bench.hidden_table import error_of, lines, located, outcome, summary
+from wrod.bench.hidden_table import error_of, held, lines, located, outcome, summary
 from wrod.bench.identify import _called
 from wrod.commands import main
 from wrod.errors import DataError
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Model, effects
 from wrod.identification.template import write_template
 
@@ -163,6 +164,23 @@ def test_the_plug_in_at_the_true_values_leaves_noise(name):
     assert abs((residual**2).mean() - 1.0) < 4.0 * np.sqrt(2.0 / residual.size)
 
 
+@pytest.mark.parametrize("name", ["stiffness", "stiffness_gradient"])
+def test_what_is_stiffer_is_so_against_tension_as_well(name):
+    """A set's rod is the one that its effect describes: extension moves rods by tenths of a mm."""
+    m = measurements_from_arrays(kept("stiffness_gradient", 501, "correlated-0.7")[0])
+    hidden = cases()[name](np.random.default_rng(3), m.material)
+    ((true,),) = (own.values() for own in hidden.truth.values())
+    values = np.log(true) if name == "stiffness" else np.array(true)
+    base = ClampedSetup.base(m, m.train[:1], 8)
+    setup, rod = Model((effects()[name],)).setup(base, values), hidden.experiment
+    nodes, middles = base.arc_length, 0.5 * (base.arc_length[1:] + base.arc_length[:-1])
+    assert setup.bending / base.bending == pytest.approx(rod.bending(nodes).T)
+    twisting = rod.twisting * rod.twist_profile(nodes)
+    assert setup.twisting / base.twisting == pytest.approx(twisting)
+    stretching = rod.stretching * rod.stretch_profile(middles)
+    assert setup.stretching / base.stretching == pytest.approx(stretching)
+
+
 def test_every_effect_of_a_clamped_rod_is_hidden_somewhere():
     """But for those whose like is there at the other end, and the axial stiffness."""
     rng = np.random.default_rng(0)
@@ -203,6 +221,14 @@ def test_table_and_its_summary():
     assert "no equilibrium" in text
     assert "one effect              1 sets: right 1" in text
     assert "within 5 % in 1 of 1" in text
+
+
+def test_a_profile_is_judged_by_its_intervals_whatever_it_is_called():
+    true = [[[f"stiffness_ratio_at_{k}_mm"], [1.0 + 0.1 * k]] for k in range(21)]
+    told = {f"stiffness_ratio_at_{5 * k}_mm": {"value": 1.05, "stderr": 0.4} for k in range(5)}
+    row = {"truth": {"profile_of_stiffness": true}}
+    assert held(row | {"effects": [{"name": "stiffness", "parameters": told}]}) == (2, 5)
+    assert held(row | {"effects": []}) == (0, 0)
 
 
 @pytest.mark.parametrize(

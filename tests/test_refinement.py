@@ -1,5 +1,7 @@
 """An effect whose law along the rod is not the rod's gives way to a profile; one whose is stays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hidden import kept
@@ -7,39 +9,49 @@ from hidden import kept
 from wrod.identification.clamped.fit import fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
-from wrod.identification.clamped.profiles import KNOTS, ProfileEffect
-from wrod.identification.clamped.refinement import refined
+from wrod.identification.clamped.profiles import KNOTS, ProfileEffect, likenesses, root_of
+from wrod.identification.clamped.refinement import (
+    _SHARE,
+    _SIZES,
+    _beside,
+    _expected,
+    in_doubt,
+    refined,
+)
 from wrod.identification.clamped.report import _found_rod
 from wrod.identification.effect import Model, effects
-
-# Quarter points among the knots.
-_QUARTERS = range(0, KNOTS, (KNOTS - 1) // 4)
 
 
 def by_a_line(case: str):
     """(laboratory, the straight line that is fitted to the stiffness, truth) of a hidden set."""
     data, truth = kept(case, 501, "correlated-0.7")
-    laboratory = Laboratory(measurements_from_arrays(data))
-    line = Model((effects()["stiffness_gradient"],))
-    return laboratory, fit_models(laboratory, [line], [np.zeros(2)])[0], truth
+    laboratory = Laboratory(measurements_from_arrays(data), edge_count=120)
+    model = Model((effects()["stiffness_gradient"],))
+    line = fit_models(laboratory, [model], [np.zeros(2)])[0]
+    laboratory.refine(model, line.values)
+    return laboratory, fit_models(laboratory, [model], [line.values])[0], truth
+
+
+def at_quarters(told, length_mm: int):
+    """(values, errors) of the stiffness that a report tells."""
+    keys = [f"stiffness_ratio_at_{length_mm * k // 4}_mm" for k in range(5)]
+    return np.array([(told[key].value, told[key].stderr) for key in keys]).T
 
 
 def test_a_stiffness_that_falls_quadratically_is_no_straight_line(tmp_path):
     laboratory, line, truth = by_a_line("stiffness, quadratic")
     m, rounds = laboratory.measurements, []
-    found, held_out = refined(laboratory, line, rounds, (1.0, 1.0))
+    found, held_out, doubts = refined(laboratory, line, rounds, (1.0, 1.0))
     (step,) = rounds
-    assert step.accepted == found.model.names == ("profile_of_stiffness",)
+    assert step.accepted == found.model.names == ("profile_of_stiffness",) and not doubts
     assert held_out[0] == 1.0 and held_out[1] < 1.1 * m.noise_floor
     (own,), (expected,) = found.model.effects, truth.values()
-    told = own.describe(found.values, found.covariance, m)
-    keys = [f"stiffness_ratio_at_{25 * k}_mm" for k in _QUARTERS]
-    true = np.array([expected[(key,)][0] for key in keys])
-    value, error = np.array([(told[key].value, told[key].stderr) for key in keys]).T
-    assert np.abs(value - true).max() < 3.0 * error.max() and error.max() < 0.06
+    value, error = at_quarters(own.describe(found.values, found.covariance, m), 500)
+    true = np.array([expected[(f"stiffness_ratio_at_{125 * k}_mm",)][0] for k in range(5)])
+    assert (np.abs(value - true) < 2.5 * error).all() and error.max() < 0.08
     # The line is off by more than the profile at every place, by far more than its error.
     a, b = line.values
-    by_line = 1.0 + a + (b - a) * np.linspace(0.0, 1.0, len(keys))
+    by_line = 1.0 + a + (b - a) * np.linspace(0.0, 1.0, 5)
     assert np.abs(by_line - true).max() > 2.0 * np.abs(value - true).max()
     # What commands take of it, through the file, is the profile.
     rod = _found_rod(m, laboratory, found)
@@ -48,18 +60,48 @@ def test_a_stiffness_that_falls_quadratically_is_no_straight_line(tmp_path):
     from wrod.rods.model_file import load_rod
 
     first, _ = load_rod(tmp_path / "model.json").bending_stiffness
-    places = np.linspace(0.0, m.material.length, len(keys))
+    places = np.linspace(0.0, m.material.length, 5)
     assert first(places) / m.material.bending_stiffness == pytest.approx(value, rel=2e-3)
 
 
-def test_a_straight_line_stays_one():
+def test_a_straight_line_stays_one_with_errors_that_do_not_take_it_for_granted():
     laboratory, line, truth = by_a_line("stiffness_gradient")
-    noise, rounds = laboratory.noise, []
-    found, held_out = refined(laboratory, line, rounds, (1.0, 0.5))
+    m, noise, rounds = laboratory.measurements, laboratory.noise, []
+    found, held_out, doubts = refined(laboratory, line, rounds, (1.0, 0.5))
     assert found is line and held_out == (1.0, 0.5) and laboratory.noise is noise
     assert all(step.accepted is None for step in rounds)
     ((true,),) = (own.values() for own in truth.values())
-    assert np.abs(line.values - true).max() < 0.05
+    assert np.abs(line.values - true).max() < 0.02
+    (effect,) = line.model.effects
+    told = in_doubt(doubts[0], 0, effect, line.values, m)
+    assert [told[p.key].value for p in effect.parameters] == pytest.approx(line.values)
+    value, error = at_quarters(told, 480)
+    true = 1.0 + true[0] + (true[1] - true[0]) * np.linspace(0.0, 1.0, 5)
+    assert (np.abs(value - true) < 2.5 * error).all()
+    # In the middle the line alone would know it to a third of that, or better.
+    of_middle = 0.5 * np.sqrt(line.covariance.sum())
+    assert 2.0 * of_middle < error[2] < 0.03
+
+
+def test_errors_hold_what_profiles_are_drawn_from():
+    """80 % intervals hold 80 % of what the prior draws, whatever its size and smoothness are."""
+    laboratory, line, _ = by_a_line("stiffness_gradient")
+    own, rng, inside = _beside(laboratory, line, 0, "stiffness"), np.random.default_rng(5), []
+    like, sizes = likenesses(), _SIZES[6:-3]
+    chances = sizes / (1.0 + (sizes / _SHARE) ** 2)
+    noise = np.linalg.cholesky(own.grams[0] + 1e-9 * np.trace(own.grams[0]) * np.eye(KNOTS))
+    for _ in range(200):
+        size = own.size * rng.choice(sizes, p=chances / chances.sum())
+        drawn = root_of(size**2 * like[rng.integers(len(like))], 1)
+        true = drawn @ rng.normal(size=drawn.shape[1])
+        towards = own.grams[0] @ true + noise @ rng.normal(size=KNOTS)
+        seen = replace(own, projected=[towards, towards], grams=[own.grams[0]] * 2)
+        root = root_of(_expected(seen)[0], 1)
+        inner = root.T @ own.grams[0] @ root + np.eye(root.shape[1])
+        away = root @ np.linalg.solve(inner, root.T @ towards) - true
+        error = np.sqrt(np.diag(root @ np.linalg.solve(inner, root.T)))
+        inside.append(np.mean(np.abs(away) < 1.2816 * error))
+    assert 0.75 < np.mean(inside) < 0.85
 
 
 def test_a_profile_about_an_effect_without_components_is_the_effect():

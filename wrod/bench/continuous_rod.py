@@ -54,7 +54,8 @@ class Experiment:
     Attributes:
         bending: factors of (B1, B2), about directions turned from (m1, m2) by `principal` [rad];
             of what resists turning about them, not bending towards them.
-        twisting, stretching: factors of GJ and EA; twist_profile: a factor of GJ along the rod.
+        twisting, stretching: factors of GJ and EA; twist_profile, stretch_profile: such factors
+            along the rod.
         curvature, twist: at rest, in the material frame [1/m], [rad/m]. Curvature is that of
             rotation vectors, the axis k that the tangent turns about: see `tangent_turn`.
         force: dead force per length beside the weight [N/m].
@@ -78,6 +79,7 @@ class Experiment:
     twisting: float = 1.0
     twist_profile: Callable = np.ones_like
     stretching: float = 1.0
+    stretch_profile: Callable = np.ones_like
     curvature: Callable = NO_CURVATURE
     twist: float = 0.0
     force: Callable = NO_FORCE
@@ -123,8 +125,7 @@ def world_of(rod: RodModel, base: RodMaterial) -> Experiment:
         bending=lambda s: np.stack([second(s), first(s)]) / base.bending_stiffness,
         principal=rod.principal_angle,
         twist_profile=lambda s: rod.twisting_stiffness(s) / base.twisting_stiffness,
-        stretching=float(rod.stretching_stiffness.mean(0.0, base.length))
-        / base.stretching_stiffness,
+        stretch_profile=lambda s: rod.stretching_stiffness(s) / base.stretching_stiffness,
         curvature=lambda s: turn_axis([k(s) for k in rod.natural_curvature]),
         twist=float(rod.natural_twist.mean(0.0, base.length)),
         mass=lambda s: (rod.line_mass(s) - line_mass)[None],
@@ -219,7 +220,8 @@ def _solve(rod, experiment: Experiment, share: float, a, ra, b, rb, guess, toler
         bend = bend + share * experiment.curvature(s)
         turn = turn + share * experiment.twist
         k = np.einsum("ijk,jk->ik", r, np.concatenate([bend, turn[None]]))
-        dq = (1 + (n * t).sum(axis=0) / k_s) * t
+        stretching = k_s * (1 + share * (experiment.stretch_profile(s) - 1))
+        dq = (1 + (n * t).sum(axis=0) / stretching) * t
         force = gravity[:, None] * (line + share * experiment.mass(s)) + share * experiment.force(s)
         if experiment.drag is not None:
             force = force + share * experiment.drag(y[:3], t, s)

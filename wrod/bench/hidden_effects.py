@@ -5,6 +5,7 @@ hidden, the noise. The layout is that of published sets: 24 trials (16 to fit on
 wrist sensor, clamp A always rolled the same way.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +55,16 @@ def _vector(name: str, keys: tuple[str, ...], values) -> dict[str, Truth]:
     return {name: {keys: tuple(float(v) for v in values)}}
 
 
+def stiff_along(factor: Callable, **more) -> Experiment:
+    """A rod of which every stiffness, tension included, is `factor` (s) -> (K,) of the base's."""
+    return Experiment(
+        bending=lambda s: np.stack([factor(s)] * 2),
+        twist_profile=factor,
+        stretch_profile=factor,
+        **more,
+    )
+
+
 def none(rng, rod):
     return Hidden(Experiment(), {})
 
@@ -90,12 +101,12 @@ def stiffness(rng, rod):
 def stiffness_gradient(rng, rod):
     ends = np.array([1.0, -1.0]) * rng.choice([-1, 1]) * rng.uniform(0.3, 0.55, 2)
 
-    def profile(s):
+    def factor(s):
         u = s / rod.length
-        return np.stack([1.0 + ends[0] * (1.0 - u) + ends[1] * u] * 2)
+        return 1.0 + ends[0] * (1.0 - u) + ends[1] * u
 
     truth = _vector("stiffness_gradient", ("change_at_clamp", "change_at_grip"), ends)
-    return Hidden(Experiment(bending=profile, twist_profile=lambda s: profile(s)[0]), truth)
+    return Hidden(stiff_along(factor), truth)
 
 
 def anisotropic_bending(rng, rod):
@@ -308,8 +319,7 @@ def soft_spot(rng, rod):
     softer = float(np.trapezoid(1.0 / factor(around) - 1.0, around))
     truth = _vector("stretch", ("extra_compliance",), [softer])
     truth["stretch"][("start", "stop")] = (place - 0.017, place + 0.017)
-    experiment = Experiment(bending=lambda s: np.stack([factor(s)] * 2), twist_profile=factor)
-    return Hidden(experiment, truth)
+    return Hidden(stiff_along(factor), truth)
 
 
 def sleeve(rng, rod):
@@ -328,12 +338,7 @@ def sleeve(rng, rod):
 
     truth = _vector("stretch", ("extra_mass",), [heavy * line * length])
     truth["stretch"][("start", "stop")] = (start, start + length)
-    experiment = Experiment(
-        bending=lambda s: np.stack([factor(s)] * 2),
-        twist_profile=factor,
-        mass=lambda s: heavy * line * window(s)[None],
-    )
-    return Hidden(experiment, truth)
+    return Hidden(stiff_along(factor, mass=lambda s: heavy * line * window(s)[None]), truth)
 
 
 def magnet(rng, rod):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from wrod.bench.continuous_rod import Experiment, tangent_turn
-from wrod.bench.hidden_effects import Hidden, Truth, _between, _in_plane
+from wrod.bench.hidden_effects import Hidden, Truth, _between, _in_plane, stiff_along
 from wrod.identification.clamped.profiles import KNOTS
 
 
@@ -60,8 +60,7 @@ def _stiffness(rng, rod, shape: str) -> Hidden:
     def factor(s):
         return 1.0 + change * size(s)
 
-    experiment = Experiment(bending=lambda s: np.stack([factor(s)] * 2), twist_profile=factor)
-    return Hidden(experiment, _truth("profile_of_stiffness", rod, stiffness_ratio=factor))
+    return Hidden(stiff_along(factor), _truth("profile_of_stiffness", rod, stiffness_ratio=factor))
 
 
 def _curvature(rng, rod, shape: str) -> Hidden:

@@ -5,10 +5,14 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 # A direction is right within the same 5 %, of a radian.
 WITHIN = 0.05
 # Parameters of built effects that say where they are [m].
 _PLACES = {"arc_length", "start", "stop", "x", "y", "z"}
+# Standard errors either side of an 80 % interval.
+_OF_80 = 1.2816
 OUTCOMES = (
     "right",
     "near",
@@ -141,6 +145,22 @@ def located(row: dict) -> tuple[float, float]:
     return max(places), max(sizes)
 
 
+def held(row: dict) -> tuple[int, int]:
+    """(how many of the true values along the rod an 80 % interval holds, of how many that are told
+    at the quarters of the rod), whatever the effect that tells them is called."""
+    from wrod.identification.clamped.profiles import KNOTS
+
+    told = {key: e for effect in row["effects"] for key, e in effect["parameters"].items()}
+    inside = [
+        abs(told[keys[0]]["value"] - values[0]) <= _OF_80 * told[keys[0]]["stderr"]
+        for own in row["truth"].values()
+        for first in range(0, len(own), KNOTS)
+        for keys, values in own[first : first + KNOTS : (KNOTS - 1) // 4]
+        if keys[0] in told
+    ]
+    return sum(inside), len(inside)
+
+
 def lines(rows: Sequence[dict]) -> list[str]:
     """The table for people."""
     text = [
@@ -206,6 +226,11 @@ def summary(rows: Sequence[dict]) -> list[str]:
             part = [r["outcome"] for r in own if r["noise"] == noise]
             said = ", ".join(f"{o} {part.count(o)}" for o in OUTCOMES if o in part)
             text.append(f"{'':21}     {len(part):3} of them with {noise}: {said}")
+        along = [held(r) for r in own if title == "a profile along the rod" and "truth" in r]
+        inside, of = np.sum(along, axis=0) if along else (0, 0)
+        if of:
+            share = f"{100 * inside / of:.0f} %"
+            text.append(f"{'':21}     80 % intervals along the rod hold {inside} of {of}, {share}")
         if late := sum(r.get("out_of_time", False) for r in own):
             text.append(f"{'':21}     {late:3} of them ran out of time")
         told = [r["print_near"] for r in own if r.get("print_near") is not None]

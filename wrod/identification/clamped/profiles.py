@@ -43,6 +43,7 @@ def _stiffness(setup, profile):
     factor = np.exp(profile[:, 0])
     setup.bending = setup.bending * factor[:, None]
     setup.twisting = setup.twisting * factor
+    setup.stretching = setup.stretching * 0.5 * (factor[1:] + factor[:-1])
 
 
 def _weight(setup, profile):
@@ -62,6 +63,7 @@ class _Kind:
         told: (node, width) what a setup has of it, for reports, beside the base model's setup.
         fields: of a setup, what it is of and what may change with that.
         keys: what the components are called; unit: of what is told.
+        base: of what is told, what a rod has by the base model.
     """
 
     apply: Callable
@@ -70,6 +72,7 @@ class _Kind:
     keys: tuple[str, ...]
     unit: str
     title: str
+    base: float
 
     @property
     def width(self) -> int:
@@ -95,19 +98,19 @@ def _force_told(setup, base):
 KINDS = {
     "curvature": _Kind(
         _curvature, _curvature_told, ("natural_curvature",),
-        ("curvature_1", "curvature_2"), "1/m", "natural curvature",
+        ("curvature_1", "curvature_2"), "1/m", "natural curvature", 0.0,
     ),
     "stiffness": _Kind(
         _stiffness, _stiffness_told, ("bending", "twisting", "stretching"),
-        ("stiffness_ratio",), "", "relative stiffness",
+        ("stiffness_ratio",), "", "relative stiffness", 1.0,
     ),
     "weight": _Kind(
         _weight, _weight_told, ("line_mass",),
-        ("weight_ratio",), "", "relative weight",
+        ("weight_ratio",), "", "relative weight", 1.0,
     ),
     "force": _Kind(
         _force, _force_told, ("force",),
-        ("force_1", "force_2", "force_3"), "N/m", "force in the laboratory",
+        ("force_1", "force_2", "force_3"), "N/m", "force in the laboratory", 0.0,
     ),
 }  # fmt: skip
 
@@ -147,18 +150,11 @@ class ProfileEffect(Effect):
         profile = hats(setup.fraction, KNOTS) @ (self.basis @ np.asarray(values[first:]))
         KINDS[self.kind].apply(setup, profile)
 
-    def _told(self, values, measurements) -> np.ndarray:
-        """(KNOTS, width) what the rod has of the quantity."""
-        base = ClampedSetup.base(measurements, measurements.train[:1], KNOTS - 1)
-        setup = copy.copy(base)
-        self.apply(setup, values)
-        return KINDS[self.kind].told(setup, base)
-
     def special_cases(self, values, measurements):
         """The constant and the straight line nearest to it."""
-        told = self._told(values, measurements)
-        slope, first = np.polyfit(np.linspace(0.0, 1.0, KNOTS), told[:, 0], 1)
-        ends, mean = np.array([first - 1.0, first + slope - 1.0]), told.mean(axis=0)
+        found = told(self.kind, self, values, measurements)[0]
+        slope, first = np.polyfit(np.linspace(0.0, 1.0, KNOTS), found[:, 0], 1)
+        ends, mean = np.array([first - 1.0, first + slope - 1.0]), found.mean(axis=0)
         ends = np.maximum(ends, -0.9)
         factor = np.log(np.maximum(mean[:1], 0.1))
         return {
@@ -167,21 +163,56 @@ class ProfileEffect(Effect):
             "weight": {"density": factor, "density_profile": ends},
         }.get(self.kind, {})
 
-    def describe(self, values, covariance, measurements):
-        """What the rod has of the quantity at every knot, the ends and the middle first."""
-        kind, steps = KINDS[self.kind], 1j * COMPLEX_STEP * np.eye(len(values))
-        moved = [self._told(values + step, measurements).imag for step in steps]
-        rates = np.stack(moved, axis=2) / COMPLEX_STEP
+    def describe(self, values, covariance, measurements, knots=tuple(range(KNOTS))):
+        """What the rod has of the quantity at knots, the ends and the middle first."""
+        kind = KINDS[self.kind]
+        found, rates = told(self.kind, self, values, measurements)
         error = np.sqrt(np.einsum("kwp,pq,kwq->kw", rates, covariance, rates))
         places = np.linspace(0.0, measurements.material.length, KNOTS)
-        found, middle = self._told(values, measurements), KNOTS // 2
+        middle = KNOTS // 2
         return {
             f"{key}_at_{1e3 * places[k]:.0f}_mm": Estimate(
                 float(found[k, w]), float(error[k, w]), kind.unit
             )
-            for k in sorted(range(KNOTS), key=lambda k: k % middle > 0)
+            for k in sorted(knots, key=lambda k: k % middle > 0)
             for w, key in enumerate(kind.keys)
         }
+
+
+def told(kind: str, effect: Effect, values, measurements) -> tuple[np.ndarray, np.ndarray]:
+    """((KNOTS, width) what a rod with an effect has of a quantity at the knots, (KNOTS, width, P)
+    its derivatives by the effect's parameters)."""
+    base = ClampedSetup.base(measurements, measurements.train[:1], KNOTS - 1)
+
+    def of(values):
+        setup = copy.copy(base)
+        effect.apply(setup, values)
+        return KINDS[kind].told(setup, base)
+
+    steps = 1j * COMPLEX_STEP * np.eye(len(values))
+    rates = [of(values + step).imag / COMPLEX_STEP for step in steps]
+    return of(values), np.stack(rates, axis=2)
+
+
+def likenesses() -> list[np.ndarray]:
+    """(KNOTS, KNOTS) covariances of smooth profiles 1 large, one for each smoothness."""
+    place = np.linspace(0.0, 1.0, KNOTS)
+    apart = place[:, None] - place
+    return [np.exp(-0.5 * (apart / smooth) ** 2) for smooth in _SMOOTH]
+
+
+def root_of(like: np.ndarray, width: int) -> np.ndarray:
+    """(width * KNOTS, P) root of the prior covariance of profiles whose components are independent
+    and alike, without what is next to nothing."""
+    sizes, vectors = np.linalg.eigh(like)
+    keep = sizes > _LEAST * sizes.sum() / KNOTS
+    return np.kron(np.eye(width), vectors[:, keep] * np.sqrt(sizes[keep]))
+
+
+def as_basis(root: np.ndarray) -> np.ndarray:
+    """(KNOTS, width, P) of (width * KNOTS, P)."""
+    count, size = root.shape
+    return np.moveaxis(root.reshape(count // KNOTS, KNOTS, size), 0, 1)
 
 
 @dataclass(frozen=True)
@@ -289,13 +320,9 @@ def likeliest(kind: str, width: int, gram: np.ndarray, projected: np.ndarray) ->
         gram: (width * KNOTS, width * KNOTS), projected: (width * KNOTS,) of the whitened rates
             and with the residual.
     """
-    place = np.linspace(0.0, 1.0, KNOTS)
     best: tuple[float, Found] | None = None
-    for smooth in _SMOOTH:
-        like = np.exp(-0.5 * ((place[:, None] - place) / smooth) ** 2)
-        sizes, vectors = np.linalg.eigh(like)
-        keep = sizes > _LEAST * sizes.sum() / KNOTS
-        root = np.kron(np.eye(width), vectors[:, keep] * np.sqrt(sizes[keep]))
+    for like in likenesses():
+        root = root_of(like, width)
         small, modes = np.linalg.eigh(root.T @ gram @ root)
         small = np.maximum(small, 0.0)
         towards = modes.T @ (root.T @ projected)
@@ -305,7 +332,7 @@ def likeliest(kind: str, width: int, gram: np.ndarray, projected: np.ndarray) ->
             if best is None or gain > best[0]:
                 value = (root @ (modes @ (shrunk * towards))).reshape(width, KNOTS).T
                 seen = root @ modes[:, amplitude * small > 1.0]
-                basis = np.sqrt(amplitude) * np.moveaxis(seen.reshape(width, KNOTS, -1), 0, 1)
+                basis = np.sqrt(amplitude) * as_basis(seen)
                 effective = float((amplitude * small / (1.0 + amplitude * small)).sum())
                 best = (gain, Found(kind, float(gain), effective, value, basis))
     return best[1]

@@ -1,17 +1,22 @@
-"""Whether a quantity that was found changes along the rod as its effect says.
+"""Whether a quantity that was found changes along the rod as its effect says, and what may be else.
 
 An effect has a law along the rod: a constant, a straight line. One that is nearly the rod's reaches
 the noise floor and stands for a law that is another one, with numbers that are wrong by many of
-their standard errors. So wherever an effect of natural curvature, stiffness or weight was chosen,
-a profile of the same quantity about it competes, as smooth and as large as the residual beside the
-model says. It takes the effect's place if it has the evidence by the noise that the richer model
-leaves (what the poorer one leaves wrong passes for noise along the rod), improves trials held out,
-and takes squares from trials that no choice has seen.
+their standard errors. So beside every effect of natural curvature, stiffness or weight that was
+chosen stands a profile of the same quantity, a Gaussian process of unknown size and smoothness.
+What it has of evidence is marginal over both, by the noise that the richer model leaves (what the
+poorer one leaves wrong passes for noise along the rod) and on the mesh that the poorer one was
+polished on (a coarser one errs like a profile). It takes the effect's place if it has the evidence
+and trials that no choice has seen are likelier with it as well. If it does not, it is not out of
+the world: the errors that are reported are those beside it, so large as it may be for all that the
+data say.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import logsumexp
 
 from wrod.errors import DataError
 from wrod.identification.clamped.described import Described
@@ -22,56 +27,115 @@ from wrod.identification.clamped.profiles import (
     KINDS,
     KNOTS,
     Found,
-    Knots,
     ProfileEffect,
+    as_basis,
     likeliest,
+    likenesses,
+    root_of,
+    told,
 )
 from wrod.identification.clamped.steps import has_profile, held_out_error
-from wrod.identification.clamped.verdict import UNSEEN_GAIN, Round, changed_by, unseen_gain
-from wrod.identification.effect import Effect, Model
+from wrod.identification.clamped.verdict import Round, changed_by
+from wrod.identification.effect import Effect, Estimate, Model
 
 # Kinds of profiles that effects have a law of.
 _QUANTITIES = ("curvature", "stiffness", "weight")
-# Log evidence from which a profile is likelier than the law, twenty to one [nats]. A profile that
-# need not be costs a name and wider errors, a law that is not the rod's costs wrong numbers: so
-# less is asked than of an effect that joins, and of unseen trials one standard error.
+# Log evidence of all trials from which a profile is likelier than the law, twenty to one [nats].
 _EVIDENCE = 3.0
 # How often the noise is estimated beside the profile and the profile built with that noise.
 _NOISE_PASSES = 3
+# What a rod has beside its law is about as large as this share of what it has by it, or any other
+# size: a half-Cauchy prior, on so many sizes in units of the latter.
+_SHARE = 0.5
+_SIZES = np.geomspace(0.01, 10.0, 19)
+# Knots that the report of a law tells.
+_TOLD = np.arange(0, KNOTS, (KNOTS - 1) // 4)
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """A residual as a profile beside the effect at one place of a model, to first order; everything
+    else of the model follows.
+
+    Attributes:
+        law, values: what the profile is about, None for the base model, and its parameters.
+        present: (KNOTS * width,) the profile that the model has already.
+        grams, projected: of the knots and with the residual, of the train trials and of all.
+        size: of what the model has of the quantity, at most.
+    """
+
+    kind: str
+    law: Effect | None
+    values: np.ndarray
+    present: np.ndarray
+    grams: list[np.ndarray]
+    projected: list[np.ndarray]
+    size: float
 
 
 def refined(
     laboratory: Laboratory, current: Fit, rounds: list[Round], held_out: tuple[float, float]
-) -> tuple[Fit, tuple[float, float]]:
-    """(model, (before, after) RMS of markers held out): a chosen model, with profiles in place of
-    effects whose law along the rod is not theirs; what was weighed joins `rounds`.
+) -> tuple[Fit, tuple[float, float], dict[int, Fit]]:
+    """(model, (before, after) RMS of markers held out, by place what else it may be): a chosen
+    model, with a profile in place of an effect whose law along the rod is not its own; what was
+    weighed joins `rounds`.
 
-    With a profile in it, the laboratory's noise is what that model leaves.
+    With a profile in it, the laboratory's noise is what that model leaves. What else a model may be
+    is one with a profile about the effect at that place, for `in_doubt`.
     """
-    if has_profile(current.model):
-        return current, held_out
-    declared = laboratory.noise, laboratory.scatter_rates
+    declared, doubts = (laboratory.noise, laboratory.scatter_rates), {}
+    there = has_profile(current.model)
     for place, effect in enumerate(current.model.effects):
         kind = _kind_of(laboratory, effect)
-        if kind is None:
+        if kind is None or (there and not isinstance(effect, ProfileEffect)):
             continue
-        poor = current
+        poor, rich = current, None
         for _ in range(_NOISE_PASSES):
-            rich, evidence = _with_profile(laboratory, poor, place, kind)
+            rich, evidence, ahead = _with_profile(laboratory, rich or poor, place, kind)
             if rich is None:
                 break
             noise, rates = estimate(laboratory, rich.model, rich.values)
             if noise.near(laboratory.noise):
                 break
             laboratory.set_noise(noise, rates)
-            poor = fit_models(laboratory, [poor.model], [poor.values], origin=poor, race=False)[0]
+        if rich is not None and there:
+            return _polished(laboratory, rich), held_out, {}
         if rich is not None:
-            step, ahead = _weighed(laboratory, poor, rich, evidence)
+            step, error = _weighed(laboratory, poor, rich, (evidence, ahead), place)
             rounds.append(step)
             if step.accepted:
-                return rich, (held_out[0], ahead)
+                return _polished(laboratory, rich), (held_out[0], error), {}
+            doubts[place] = rich
         laboratory.set_noise(*declared)
-    return current, held_out
+    return current, held_out, doubts
+
+
+def in_doubt(rich: Fit, place: int, effect: Effect, values, measurements) -> dict[str, Estimate]:
+    """What to report of an effect whose law along the rod may be another one.
+
+    Its parameters are those of what the rod has at the ends, if they are as many as a straight
+    line's, or else of what comes nearest along the rod. Their errors are root mean squares about
+    the values, over all that the rod may have by the data; so are those of some places, about the
+    likeliest there.
+
+    Args:
+        rich: a model with a profile about the effect, of `refined`.
+        values: (P,) the effect's parameters.
+    """
+    profile, own = rich.model.effects[place], rich.model.split(np.arange(len(rich.values)))[place]
+    assert isinstance(profile, ProfileEffect)
+    found, covariance = rich.values[own], rich.covariance[np.ix_(own, own)]
+    there, rates = told(profile.kind, profile, found, measurements)
+    by_law, own_rates = told(profile.kind, effect, values, measurements)
+    rows = slice(None)
+    if len(values) == 2 * by_law.shape[1] and not np.allclose(own_rates[0], own_rates[-1]):
+        rows = np.array([0, -1])
+    back = np.linalg.pinv(own_rates[rows].reshape(-1, len(values)))
+    rates, away = rates[rows].reshape(-1, len(found)), (there - by_law)[rows].ravel()
+    moments = back @ (rates @ covariance @ rates.T + np.outer(away, away)) @ back.T
+    return effect.describe(values, moments, measurements) | profile.describe(
+        found, covariance, measurements, _TOLD
+    )
 
 
 def profile_of(laboratory: Laboratory, singles: Sequence[Fit], found: Found) -> ProfileEffect:
@@ -83,17 +147,21 @@ def profile_of(laboratory: Laboratory, singles: Sequence[Fit], found: Found) -> 
     """
     for law in singles:
         if _kind_of(laboratory, law.model.effects[0]) == found.kind:
-            rich, _ = _with_profile(laboratory, law, 0, found.kind)
+            own = _beside(laboratory, law, 0, found.kind)
+            again = likeliest(found.kind, KINDS[found.kind].width, own.grams[0], own.projected[0])
+            if again.evidence <= 0.0 or not again.basis.size:
+                break
+            rich = _fitted(laboratory, law, 0, own, again.basis)
             if rich is None:
                 break
-            (effect,) = rich.model.effects
-            assert isinstance(effect, ProfileEffect)
-            return ProfileEffect(found.kind, effect.basis, effect.about, rich.values)
+            return ProfileEffect(found.kind, again.basis, own.law, rich.values)
     return ProfileEffect(found.kind, found.basis)
 
 
 def _kind_of(laboratory: Laboratory, effect: Effect) -> str | None:
     """The quantity that an effect changes, if nothing else and all along the rod."""
+    if isinstance(effect, ProfileEffect):
+        return effect.kind
     if not isinstance(effect, Described):
         fields = changed_by(laboratory, [effect])
         for kind in _QUANTITIES:
@@ -103,52 +171,112 @@ def _kind_of(laboratory: Laboratory, effect: Effect) -> str | None:
     return None
 
 
+def _beside(laboratory: Laboratory, fit: Fit, place: int, kind: str) -> _Beside:
+    m, width = laboratory.measurements, KINDS[kind].width
+    effect, parts = fit.model.effects[place], fit.model.split(fit.values)
+    law: Effect | None = effect
+    values, present = parts[place], np.zeros(width * KNOTS)
+    size = np.linalg.norm(told(kind, effect, values, m)[0] - KINDS[kind].base, axis=1).max()
+    if isinstance(effect, ProfileEffect):
+        law, count = effect.about, effect.basis.shape[2]
+        present = (effect.basis @ values[-count:]).T.ravel()
+        values = values[:-count]
+    effects = list(fit.model.effects)
+    effects[place] = ProfileEffect(kind, as_basis(np.eye(width * KNOTS)), law)
+    parts[place] = np.concatenate([values, present])
+    model = Model(tuple(effects))
+    seen, rates = laboratory.jacobian(model, np.concatenate(parts))
+    first = sum(map(len, parts[:place])) + len(values)
+    mine = np.arange(first, first + width * KNOTS)
+    scale = np.array([p.scale for p in model.parameters])
+    grams, projected = [], []
+    for trials in (m.train, np.concatenate([m.train, m.test])):
+        residual = laboratory.whiten((laboratory.target - seen)[trials], trials).ravel()
+        columns = laboratory.whiten(rates[trials], trials).reshape(residual.size, -1)
+        knots, theirs = columns[:, mine], np.delete(columns * scale, mine, axis=1)
+        # Whatever else the model has follows.
+        inner = theirs.T @ theirs + np.eye(theirs.shape[1])
+        free = knots - theirs @ np.linalg.solve(inner, theirs.T @ knots)
+        grams.append(knots.T @ free)
+        projected.append(free.T @ residual + grams[-1] @ present)
+    return _Beside(kind, law, values, present, grams, projected, float(size))
+
+
+def _hypotheses(own: _Beside, gram, projected) -> tuple[np.ndarray, list[np.ndarray]]:
+    """((H,) log of evidence times prior, over that of no profile; (KNOTS, KNOTS) prior covariances)
+    of every size and smoothness."""
+    width, smooth = KINDS[own.kind].width, likenesses()
+    prior = _SIZES / (1.0 + (_SIZES / _SHARE) ** 2)
+    prior = np.log(prior / prior.sum() / len(smooth))
+    found, known = [], []
+    for like in smooth:
+        root = root_of(like, width)
+        small, modes = np.linalg.eigh(root.T @ gram @ root)
+        towards = modes.T @ (root.T @ projected)
+        for size, chance in zip(own.size * _SIZES, prior, strict=True):
+            grown = size**2 * np.maximum(small, 0.0)
+            taken = towards**2 * size**2 / (1.0 + grown)
+            found.append(0.5 * taken.sum() - 0.5 * np.log1p(grown).sum() + chance)
+            known.append(size**2 * like)
+    return np.array(found), known
+
+
+def _expected(own: _Beside) -> tuple[np.ndarray, float, float]:
+    """((KNOTS, KNOTS) mean prior covariance of all profiles that the train trials leave possible,
+    log evidence of a profile, by how much the log likelihood of trials ahead is higher with it)."""
+    (train, known), (both, _) = (
+        _hypotheses(own, g, p) for g, p in zip(own.grams, own.projected, strict=True)
+    )
+    evidence = logsumexp(train)
+    like = np.einsum("h,hij->ij", np.exp(train - evidence), known)
+    return like, float(evidence), float(logsumexp(both) - evidence)
+
+
 def _with_profile(
     laboratory: Laboratory, current: Fit, place: int, kind: str
-) -> tuple[Fit | None, float]:
-    """(the model with a profile about one of its effects, log evidence of that [nats]); None where
-    the residual asks for no profile."""
-    trials, width = laboratory.measurements.train, KINDS[kind].width
-    own = np.array([p.scale for p in current.model.parameters])
-    seen, rates = laboratory.jacobian(
-        current.model.extended(Knots((kind,))),
-        np.concatenate([current.values, np.zeros(width * KNOTS)]),
-    )
-    residual = laboratory.whiten((laboratory.target - seen)[trials], trials).ravel()
-    columns = laboratory.whiten(rates[trials], trials).reshape(residual.size, -1)
-    theirs, mine = columns[:, : len(own)] * own, columns[:, len(own) :]
-    # The effects' own parameters follow.
-    inner = theirs.T @ theirs + np.eye(len(own))
-    free = mine - theirs @ np.linalg.solve(inner, theirs.T @ mine)
-    found = likeliest(kind, width, mine.T @ free, free.T @ residual)
-    if found.evidence <= 0.0 or not found.basis.size:
-        return None, 0.0
+) -> tuple[Fit | None, float, float]:
+    """(the model with a profile about one of its effects, None where it has no equilibrium; log
+    evidence of that, and of the trials ahead, as of `_expected`)."""
+    own = _beside(laboratory, current, place, kind)
+    like, evidence, ahead = _expected(own)
+    basis = as_basis(root_of(like, KINDS[kind].width))
+    return _fitted(laboratory, current, place, own, basis), evidence, ahead
+
+
+def _fitted(laboratory, current: Fit, place: int, own: _Beside, basis: np.ndarray) -> Fit | None:
+    """The model with a profile of these components at the place; None without an equilibrium."""
     effects, parts = list(current.model.effects), current.model.split(current.values)
-    effects[place] = ProfileEffect(kind, found.basis, effects[place])
-    parts[place] = np.concatenate([parts[place], np.zeros(found.basis.shape[2])])
+    effects[place] = ProfileEffect(own.kind, basis, own.law)
+    start = np.linalg.lstsq(np.moveaxis(basis, 1, 0).reshape(-1, basis.shape[2]), own.present)[0]
+    parts[place] = np.concatenate([own.values, start])
     rich = fit_models(
         laboratory, [Model(tuple(effects))], [np.concatenate(parts)], origin=current, race=False
     )[0]
-    return (rich if np.isfinite(rich.chi_squared) else None), found.evidence
+    return rich if np.isfinite(rich.chi_squared) else None
 
 
-def _weighed(laboratory: Laboratory, poor: Fit, rich: Fit, evidence: float) -> tuple[Round, float]:
+def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
+    """Fitted again with the mesh's correction where the model is now."""
+    laboratory.refine(fit.model, fit.values)
+    return fit_models(laboratory, [fit.model], [fit.values], origin=fit, race=False)[0]
+
+
+def _weighed(laboratory: Laboratory, poor: Fit, rich: Fit, log_odds, place) -> tuple[Round, float]:
     """(the step from one model to the other, RMS of markers held out with it)."""
-    ahead, reason = np.inf, ""
+    (seen, ahead), error, reason = log_odds, np.inf, ""
+    evidence = seen + ahead
     if evidence < _EVIDENCE:
         reason = f"the log evidence of a profile is {evidence:.1f}, less than {_EVIDENCE:g}"
+    elif ahead < 0.0:
+        reason = f"unseen trials are less likely with a profile, by {-ahead:.1f} nats"
     else:
         try:
-            (_, squares), (ahead, better) = (held_out_error(laboratory, f) for f in (poor, rich))
-            gain, error = unseen_gain(laboratory, rich, poor)
-            if better >= squares:
-                reason = "trials held out get worse"
-            elif gain < max(UNSEEN_GAIN, error):
-                reason = f"takes {gain:.1f} ± {error:.1f} squares from unseen trials, too few"
+            error = held_out_error(laboratory, rich)[0]
         except DataError:
             reason = "a trial held out has no equilibrium with it"
-    said = reason or (
-        f"the log evidence of a profile is {evidence:.1f}, held-out error {1e3 * ahead:.3f} mm"
-    )
-    accepted, stays = (None, "another law along the rod") if reason else (rich.model.names, "")
-    return Round(poor.model.names, rich, [rich], [evidence], accepted, said, stays), float(ahead)
+    said = f"the log evidence of a profile is {evidence:.1f}, held-out error {1e3 * error:.3f} mm"
+    accepted, stays = None if reason else rich.model.names, ""
+    if reason and evidence > -_EVIDENCE:
+        stays = rich.model.effects[place].name
+    step = Round(poor.model.names, rich, [rich], [evidence], accepted, reason or said, stays)
+    return step, float(error)

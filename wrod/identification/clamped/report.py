@@ -15,6 +15,7 @@ from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import load_measurements
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.noise import NoiseModel
+from wrod.identification.clamped.refinement import in_doubt
 from wrod.identification.clamped.selection import select
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.clamped.trace import Print, trace
@@ -226,6 +227,8 @@ def _found(laboratory: Laboratory, fit: Fit, selection: Selection) -> tuple[Foun
     for k, (effect, values) in enumerate(zip(effects, parts, strict=True)):
         own = slice(ends[k] - len(values), ends[k])
         parameters = effect.describe(values, fit.covariance[own, own], m)
+        if k in selection.doubts:
+            parameters = in_doubt(selection.doubts[k], k, effect, values, m)
         found.append(
             FoundEffect(
                 effect.name,

@@ -74,11 +74,11 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, build: bool = Fa
     """
     try:
         current, rounds, held_out = _chosen(laboratory, candidates, build)
+        final, doubts = _polished(laboratory, current), {}
         if build:
-            current, held_out = refined(laboratory, current, rounds, held_out)
+            final, held_out, doubts = refined(laboratory, final, rounds, held_out)
         laboratory.clock.extend()
-        final = _polished(laboratory, current)
-        return judge(laboratory, final, base_fit(laboratory), rounds, held_out)
+        return judge(laboratory, final, base_fit(laboratory), rounds, held_out, doubts)
     except OutOfTime:
         return _so_far(laboratory)
     finally:

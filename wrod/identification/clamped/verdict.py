@@ -53,6 +53,8 @@ class Selection:
         at_bound: parameters of the model that ended at a bound.
         out_of_time: whether not all was tried.
         scatter: what else is off anew in each trial, where that is all that is left.
+        doubts: by place in the model, one with a profile about the effect there: what else it may
+            be.
     """
 
     verdict: str
@@ -67,6 +69,7 @@ class Selection:
     confounded: list[dict] = field(default_factory=list)
     out_of_time: bool = False
     scatter: Scatter | None = None
+    doubts: dict[int, Fit] = field(default_factory=dict)
 
 
 def judge(
@@ -75,6 +78,7 @@ def judge(
     empty: Fit,
     rounds: list[Round],
     cross_validation: tuple[float, float | None],
+    doubts: dict[int, Fit] | None = None,
 ) -> Selection:
     """The verdict on a chosen model.
 
@@ -82,6 +86,7 @@ def judge(
         fit: the chosen model; empty: the base model as a fit, both on the laboratory's mesh.
         rounds: the steps that led there.
         cross_validation: (before, after) RMS of held-out marker errors [m].
+        doubts: as in `Selection`.
     """
     m = laboratory.measurements
     before = laboratory.rms(laboratory.predict(Model(), np.zeros(0)), m.test) / m.noise_floor
@@ -128,6 +133,7 @@ def judge(
         scatter=scatter,
     )
     if named.model.effects:
+        selection.doubts = {place: rich.spread() for place, rich in (doubts or {}).items()}
         selection.confounded = _confounded(laboratory, fit, rounds)
     return selection
 

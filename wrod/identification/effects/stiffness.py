@@ -44,11 +44,9 @@ class StiffnessGradient(Effect):
         middle = 1.0 + 0.5 * (a + b)
         slope = (b - a) / middle
         by = np.array([-1.0 - 0.5 * slope, 1.0 - 0.5 * slope]) / middle
-        half = np.array([0.5, 0.5])
         own = super().describe(values, covariance, measurements)
         return own | {
             "relative_gradient": Estimate(float(slope), float(np.sqrt(by @ covariance @ by)), ""),
-            "middle_ratio": Estimate(float(middle), float(np.sqrt(half @ covariance @ half)), ""),
         }
 
 
