@@ -25,7 +25,7 @@ _METRICS = {
     "capstan": "slide",
     "pile": "max_rod_overlap",
 }
-_SOLVERS = ("wrod", "pyelastica", "newton-vbd", "mujoco", "dismech")
+_SOLVERS = ("wrod", "pyelastica", "newton-vbd", "mujoco", "dismech", "dismech-newton")
 
 
 @click.command("cosserat")
@@ -109,7 +109,7 @@ def _draw(out: Path, rows: list[dict]) -> None:
 
 
 def _adapter(name: str, registry):
-    """wrod's and Newton's are here, the others cosseratbench's own."""
+    """wrod's, Newton's and dismech-newton's are here, the others cosseratbench's own."""
     if name == "wrod":
         from wrod.bench.cosserat_solver import WrodSolver
 
@@ -118,6 +118,10 @@ def _adapter(name: str, registry):
         from wrod.bench.cosserat_vbd import VbdSolver
 
         return VbdSolver()
+    if name == "dismech-newton":
+        from wrod.bench.cosserat_dismech_newton import DismechNewtonSolver
+
+        return DismechNewtonSolver()
     return registry.load_solver(name)
 
 

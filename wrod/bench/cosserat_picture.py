@@ -10,6 +10,7 @@ from wrod.files import write_figure
 _LOOKS = {
     "wrod": ("#d1495b", "o"), "pyelastica": ("#3a8f5c", "s"), "newton-vbd": ("#0b5fa5", "D"),
     "mujoco": ("#c98a1b", "^"), "dismech": ("#6b4c9a", "v"),
+    "dismech-newton": ("#8a5a44", "P"),
 }  # fmt: skip
 _INK, _MUTED, _FAINT = "#22262b", "#59616b", "#e6e9ee"
 
