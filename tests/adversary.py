@@ -25,6 +25,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import adversary_faults
 import click
 import numpy as np
 from adversary_dress import dressed, emptied
@@ -86,14 +87,14 @@ class Campaign:
             for option in [*command.params, None]
         ]
         random.Random(0).shuffle(self.slots)  # a short campaign has some of every command
-        self.table = table(files)
+        self.table = table(files) | adversary_faults.table(self.commands)
 
     def kinds(self, only: str) -> list[str]:
         """Of the table, of commands that begin so."""
         return [kind for kind in self.table if kind.startswith(only)]
 
     def listed(self, number: int, only: str = "") -> tuple[str, list[str], dict | str | None]:
-        """The same of a call of the table (adversary_fresh.py)."""
+        """The same of a call of the tables (adversary_fresh.py, adversary_faults.py)."""
         kinds = self.kinds(only)
         kind = kinds[number % len(kinds)]
         return f"{kind} (listed)", *self.table[kind](emptied(self.folder / "listed"))
@@ -129,14 +130,16 @@ class Campaign:
         words, command = list(draw.choice([VALID[name], *MORE.get(name, [])])), self.commands[name]
         how = draw.choice(["combined", "combined", "doubled", "structured", "odd name", "dressed",
                            "foreign", "foreign", "foreign", "happening", "happening", "listed",
-                           "listed"])  # fmt: skip
+                           "listed", "two", "two"])  # fmt: skip
         given, around = (draw, words, self.files, self.folder), None
         found = structured(*given) if how == "structured" else None
         found = odd_name(*given) if how == "odd name" else found
         found = foreign(*given) if how == "foreign" else found
         if how == "listed" and any(kind.startswith(f"{name} ") for kind in self.table):
             return self.listed(draw.randrange(len(self.table)), f"{name} ")
-        if how == "doubled":
+        if how == "two":
+            found, around = self._two(*given)
+        elif how == "doubled":
             found = doubled(draw, words, command, self.files)
         elif how == "happening":
             kind, changed, around = happening(*given)
@@ -146,6 +149,19 @@ class Campaign:
         if found is None:
             how, found = "combined", combined(draw, words, command, self.files)
         return f"{name} {how} {found[0]}", [*name.split(), *found[1]], around
+
+    def _two(self, draw, words, files, folder):
+        """Two things broken at once: files, or a file and what is around the call."""
+        kinds, around = [], None
+        for how in draw.sample([foreign, structured, odd_name], 2):
+            made = how(draw, words, files, folder)
+            if made is not None:
+                kinds.append(made[0])
+                words = made[1]
+        if len(kinds) < 2:
+            around = draw.choice([*AROUND, *AROUND_STREAMS, *AROUND_LIMITS])
+            kinds.append(str(around))
+        return (" and ".join(kinds), words), around
 
     def alike(self, words: list[str], plain: tuple, place: Path) -> str | None:
         """What differs between what was left there and what the plain call leaves."""
@@ -304,7 +320,7 @@ def work(task: tuple) -> list[tuple]:
 @click.option("--workers", default=1, show_default=True)
 @click.option("--minutes", default=60.0, show_default=True, help="Begin none after that.")
 @click.option("--only", default="", help="Commands that begin so.")
-@click.option("--listed", is_flag=True, help="Of adversary_fresh.py, all where --count is above.")
+@click.option("--listed", is_flag=True, help="Of the tables, all where --count is above.")
 @click.option("--log", type=click.Path(path_type=Path), help="A line for every call.")
 def cli(count, first, seed, workers, minutes, only, listed, log) -> None:
     """Make hostile calls, and say which ended as none may."""
@@ -354,7 +370,8 @@ def _broken(row: tuple) -> str:
     kind = row[1].removeprefix(f"{_begins(row[1], sorted(commands(), key=len, reverse=True))} ")
     if kind.endswith("(listed)"):
         return f"listed: {kind.split()[0]}"
-    for how in ("combined", "doubled", "structured", "odd name", "dressed", "foreign", "happening"):
+    for how in ("combined", "doubled", "structured", "odd name", "dressed", "foreign", "happening",
+                "two"):  # fmt: skip
         if kind.startswith(how):
             return how
     beginnings = {"--out": "output", "--usd": "output", "--": "option", "argument": "argument"}

@@ -1,5 +1,5 @@
 # ruff: noqa: E501  # contents of files, which no line break helps
-"""A table of hostile calls of one sort each (tests/adversary.py --fresh): files that are well formed
+"""A table of hostile calls of one sort each (tests/adversary.py --listed): files that are well formed
 and mean what cannot be, formats of other programs, odd ways to say an option, places that are both
 read and written, and surroundings of machines that are not set up as ours.
 
@@ -652,8 +652,8 @@ ENVIRONMENTS: dict[str, dict] = {
 }
 USER = "setpriv --reuid=65534 --regid=65534 --clear-groups"
 SCRIPTS: dict[str, str] = {
-    "a user without a name": "mkdir -p $OUT.home; chmod 777 .. . $OUT.home; setpriv --reuid=54321 --regid=54321 --clear-groups "
-    "env HOME=/nonexistent USER= CALL; echo EXIT $?\n",
+    "a user without a name": "mkdir -p $OUT.home; chmod 777 .. . $OUT.home; "
+    "env HOME=/nonexistent USER= setpriv --reuid=54321 --regid=54321 --clear-groups CALL; echo EXIT $?\n",
     "nobody": f"chmod 777 .. .; {USER} CALL; echo EXIT $?\n",
     "nothing around": "env -i PYTHONPATH=$PYTHONPATH CALL; echo EXIT $?\n",
     "no network": "unshare -rn CALL; echo EXIT $?\n",
@@ -683,9 +683,9 @@ SCRIPTS: dict[str, str] = {
     "hangs up": "script -qec 'bash ../call.sh' ../typed < /dev/null > ../log & p=$!\nsleep 1; kill -HUP $p; wait $p; echo EXIT 0\n",
     "files 3 to 200 open": "for k in $(seq 10 200); do eval \"exec $k</dev/null\"; done; CALL; echo EXIT $?\n",
     "standard files closed": "exec 0<&- ; CALL 2>&1; echo EXIT $?\n",
-    "folder not readable": f"mkdir d; cd d; chmod 000 .; {UNABLE} CALL; a=$?; chmod 755 .; cd ..; echo EXIT $a\n",
+    "folder not readable": f"mkdir d; cd d; chmod 000 .; {UNABLE} CALL; a=$?; chmod 755 .; cd ..; rmdir d; echo EXIT $a\n",
     "folder moved": "mkdir d; cd d; mv ../d ../e; CALL; a=$?; cd ..; rmdir e; echo EXIT $a\n",
-    "deep folder": "for k in $(seq 60); do mkdir -p " + "d" * 80 + " && cd " + "d" * 80 + "; done; CALL; a=$?; cd $OUT/..; rm -rf here/d*; echo EXIT $a\n",
+    "deep folder": "for k in $(seq 60); do mkdir -p " + "d" * 80 + " && cd " + "d" * 80 + "; done; CALL; a=$?; cd ${OUT%/*}; rm -rf here/d*; echo EXIT $a\n",
     "folder of bytes": "mkdir $'\\xff\\xfe'; cd $'\\xff\\xfe'; CALL; a=$?; cd ..; rmdir $'\\xff\\xfe'; echo EXIT $a\n",
     "folder of line ends": "mkdir $'a\\nb'; cd $'a\\nb'; CALL; a=$?; cd ..; rmdir $'a\\nb'; echo EXIT $a\n",
     "umask 777 and no root": f"umask 777; {UNABLE} CALL; a=$?; chmod -R u+rwx $OUT* 2> /dev/null; echo EXIT $a\n",

@@ -80,13 +80,17 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return f"{word}; what was finished is kept, and the same command goes on", code
     if isinstance(error, ModuleNotFoundError):
         module = (error.name or "").partition(".")[0]
-        return (_missing(module), REFUSED) if module in _EXTRAS else None
+        if module in _EXTRAS:
+            return _missing(module), REFUSED
     if isinstance(error, MemoryError) or ("allocat" in str(error) and "bytes" in str(error)):
         return "out of memory; ask for less at once (fewer trials, a smaller batch)", REFUSED
     if isinstance(error, (RuntimeError, ImportError)) and any(
         one in str(error) for one in _LIMITED
     ):
         return f"{error}; this process may have too few threads or too little memory (ulimit -a)", 2
+    if isinstance(error, ImportError) and (error.name or "").partition(".")[0] != "wrod":
+        said = " ".join(str(error).split())
+        return f"a package cannot be loaded ({said}); install it, or what it needs, anew", REFUSED
     if isinstance(error, OSError):
         where = error.filename if error.filename is not None else "the system says"
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
