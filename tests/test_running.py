@@ -52,6 +52,7 @@ def ends(error, *words, write=None):
         (MemoryError(), "out of memory", REFUSED),
         (RuntimeError("Failed to allocate 99 bytes on device 'cpu'"), "out of memory", REFUSED),
         (OSError(errno.ENOSPC, "No space left on device", "a.npz"), "a.npz: .*make room", REFUSED),
+        (OSError(errno.EMFILE, "Too many open files", "a.py"), "ulimit -n", REFUSED),
         (FileNotFoundError(errno.ENOENT, "No such file", "out/a"), "out/a: .*again", REFUSED),
         (ModuleNotFoundError("no", name="pxr"), r"pip install 'wrod\[scene\]'", REFUSED),
         (ModuleNotFoundError("no", name="torch.nn"), r"pip install 'wrod\[train\]'", REFUSED),

@@ -93,9 +93,11 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return f"a package cannot be loaded ({said}); install it, or what it needs, anew", REFUSED
     if isinstance(error, OSError):
         where = error.filename if error.filename is not None else "the system says"
+        said = error.strerror or str(error)
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            return f"{where}: {said}; let this process open more (ulimit -n)", REFUSED
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         remedy = "make room" if full else "check the path"
-        said = error.strerror or str(error)
         return f"{where}: {said}; {remedy} or choose another, then run the same command again", 2
     if isinstance(error, RecursionError):
         return "the input is nested too deeply", REFUSED
