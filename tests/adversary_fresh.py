@@ -587,6 +587,7 @@ def _spellings(files: dict[str, str]) -> dict:
 
 ENVIRONMENTS: dict[str, dict] = {
     "a matplotlibrc of rubbish": {"MATPLOTLIBRC": "{made}/matplotlibrc"},
+    "LaTeX asked for": {"MATPLOTLIBRC": "{made}/tex"},
     "fonts gone": {"FONTCONFIG_FILE": "/dev/null", "FONTCONFIG_PATH": "/proc"},
     "font list of rubbish": {"MPLCONFIGDIR": "{made}/mpl"},
     "kernels of rubbish": {"WARP_CACHE_PATH": "{made}/kernels"},
@@ -723,6 +724,7 @@ def _surroundings(files: dict[str, str]) -> dict:
         (folder / "matplotlibrc").write_text(
             "font.size: x\nfigure.dpi: nan\n\0\nsavefig.format: svg\n"
         )
+        (folder / "tex").write_text("text.usetex: True\n")
         (folder / "mpl" / "matplotlibrc").write_text("axes.prop_cycle: __import__('os')\n")
         for name in ("fontlist-v390.json", "fontlist-v400.json", "fontlist-v330.json"):
             (folder / "mpl" / name).write_text('{"_class": "FontManager", "ttflist": 3')

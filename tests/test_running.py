@@ -91,6 +91,16 @@ def test_variables_that_a_library_cannot_read_are_named(name, tmp_path):
     assert run.returncode == REFUSED and f"{name}='x'" in run.stderr and len(run.stderr) < 300
 
 
+def test_pictures_are_the_same_whatever_a_user_set_for_his_own(tmp_path):
+    (tmp_path / "tex").write_text("text.usetex: True\nfigure.dpi: 20\nsavefig.bbox: tight\n")
+    made = []
+    for name, value in (("MATPLOTLIBRC", str(tmp_path / "tex")), ("MPLCONFIGDIR", str(tmp_path))):
+        made.append(tmp_path / f"{name}.png")
+        call = [sys.executable, "-m", "wrod", "show", "line", "--out", str(made[-1])]
+        subprocess.run(call, env=os.environ | {name: value}, check=True)
+    assert made[0].read_bytes() == made[1].read_bytes()
+
+
 @pytest.mark.parametrize(
     "names", [{}, {"COMP_WORDS": "wrod"}, {"COMP_WORDS": "wrod", "COMP_CWORD": "x"}]
 )

@@ -13,8 +13,9 @@ _PREFIXES = {"numpy": ("NUMPY", "NPY"), "matplotlib": ("MPL",), "cv2": ("OPENCV"
 
 
 def blamed_variables(error: BaseException) -> str | None:
-    """The sentence for an error of a library that has environment variables of its own set, which
-    it reads when it is loaded or first called; None if there is none."""
+    """The sentence for an error of a library that has environment variables of its own set, or a
+    file of settings here, which it reads when it is loaded or first called; None if there is none.
+    """
     frames = [
         frame.f_globals.get("__name__") for frame, _ in traceback.walk_tb(error.__traceback__)
     ]
@@ -23,11 +24,13 @@ def blamed_variables(error: BaseException) -> str | None:
         library = type(error).__module__.partition(".")[0]
     prefixes = _PREFIXES.get(library, (library.upper(),))
     found = [f"{k}={v!r:.80}" for k, v in os.environ.items() if k.partition("_")[0] in prefixes]
+    if library == "matplotlib" and os.path.exists("matplotlibrc"):
+        found.append("./matplotlibrc")  # before all others
     if not found or library in ("wrod", "builtins"):
         return None
     return (
         f"{library} stops with {type(error).__name__}: {str(error)[:300]}; it reads "
-        f"{', '.join(found[:5])} of the environment: unset what it cannot mean"
+        f"{', '.join(found[:5])}: unset what it cannot mean"
     )
 
 

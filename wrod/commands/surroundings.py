@@ -43,11 +43,12 @@ def settle_variables() -> None:
         counts = name.startswith("OPENCV_") and not re.search(_WORDS, name)
         if counts and not re.fullmatch(_NUMBER, value):
             raise DataError(f"{name}={value!r:.80} is no number or truth of OpenCV's; unset it")
-    for name in ("MATPLOTLIBRC", "EZDXF_CONFIG_FILE"):
-        path = os.environ.get(name, "")
-        ends = path == os.devnull or os.path.isfile(path) or os.path.isdir(path)
-        if os.path.exists(path) and not ends:
-            raise DataError(f"{name}={path!r:.80} is a device or a pipe; unset it")
+    path = os.environ.get("EZDXF_CONFIG_FILE", "")
+    ends = path == os.devnull or os.path.isfile(path) or os.path.isdir(path)
+    if os.path.exists(path) and not ends:
+        raise DataError(f"EZDXF_CONFIG_FILE={path!r:.80} is a device or a pipe; unset it")
+    # Pictures look the same whatever a user set for his own: LaTeX, which may be missing, fonts.
+    os.environ["MATPLOTLIBRC"] = os.devnull
     os.environ["TF_DEBUG_OUTPUT_FILE"] = "stderr"
     if os.environ.get("OPENCV_LOG_LEVEL", "W")[:1].upper() not in ("S", "F", "E", "W"):
         os.environ["OPENCV_LOG_LEVEL"] = "WARNING"  # what is below goes to stdout
