@@ -69,6 +69,7 @@ def elastic_forces(
 @wp.kernel
 def natural_forces(
     # Model:
+    rest_length: wp.array2d(dtype=wp.float64),
     bending_stiffness: wp.array2d(dtype=wp.vec2d),
     # State in:
     accepted: wp.array(dtype=wp.int32),
@@ -77,13 +78,17 @@ def natural_forces(
     # In and out:
     natural: wp.array2d(dtype=wp.float64),
 ):
-    """Rate of the elastic gradient by the first natural curvature of the whole rod."""
+    """Rate of the elastic gradient by the first natural curvature of the whole rod, of which the
+    grip's node has the share of its cell that is not beyond the grip."""
     r, j = wp.tid()
     if accepted[r] == 0:
         return
     i = j + 1
+    rate = -bending_stiffness[r, i][0]
+    if i == rest_length.shape[1] - 1:
+        rate *= rest_length[r, i - 1] / (rest_length[r, i - 1] + rest_length[r, i])
     s = stencil(dof, director, r, i)
-    add_component_rate(natural, r, i, s, component(s, 0), -bending_stiffness[r, i][0])
+    add_component_rate(natural, r, i, s, component(s, 0), rate)
 
 
 @wp.func
@@ -183,7 +188,7 @@ def load_grip(
     # Out:
     x_out: wp.array3d(dtype=Any),
 ):
-    """Where the grip, while it holds, moves the last edge."""
+    """Where the grip, while it holds, moves the rod's end and the ghost edge beyond it."""
     r, p = wp.tid()
     n = x_out.shape[2]
     if accepted[r] == 0 or time[r] < begin[r, p] or free[r, n - 1] != 0:
@@ -201,13 +206,13 @@ def load_grip(
     x0 = key_rate(rates, m, p, k, y, 0)
     x1 = key_rate(rates, m, p, k, y, 1)
     x2 = key_rate(rates, m, p, k, y, 2)
-    x_out[r, p, n - 3] = x0
-    x_out[r, p, n - 2] = x1
-    x_out[r, p, n - 1] = x2
+    x_out[r, p, n - 7] = x0
+    x_out[r, p, n - 6] = x1
+    x_out[r, p, n - 5] = x2
     x_out[r, p, n - 4] = t[0] * s0 + t[1] * s1 + t[2] * s2
-    x_out[r, p, n - 7] = x0 - length * (t[2] * s1 - t[1] * s2)
-    x_out[r, p, n - 6] = x1 - length * (t[0] * s2 - t[2] * s0)
-    x_out[r, p, n - 5] = x2 - length * (t[1] * s0 - t[0] * s1)
+    x_out[r, p, n - 3] = x0 + length * (t[2] * s1 - t[1] * s2)
+    x_out[r, p, n - 2] = x1 + length * (t[0] * s2 - t[2] * s0)
+    x_out[r, p, n - 1] = x2 + length * (t[1] * s0 - t[0] * s1)
 
 
 @wp.kernel

@@ -56,18 +56,19 @@ def prescribe(
     free_out: wp.array2d(dtype=wp.int32),
     dof_out: wp.array2d(dtype=wp.float64),
 ):
-    """Hold the first nodes until `release_time` and carry the last edge until `let_go_time`.
+    """Hold the first nodes until `release_time` and carry the rod's end until `let_go_time`.
 
-    The last edge lies along the grip's x axis, its first material director along the y axis.
+    The last edge is a clamp's ghost: it begins where the rod ends, in the grip, and lies along the
+    grip's x axis, its first material director along the y axis.
     """
     r = wp.tid()
     if running[r] == 0:
         return
     now = time[r] + step[r]
     held = wp.where(now <= release_time[r], 1, 0)
-    for i in range(held_nodes[r]):
-        for c in range(4):
-            free_out[r, 4 * i + c] = 1 - held
+    # The edges between held nodes are clamped; the one after them turns.
+    for a in range(4 * held_nodes[r] - 1):
+        free_out[r, a] = 1 - held
     n = rest_length.shape[1]
     carried = wp.where(now <= let_go_time[r], 1, 0)
     for a in range(4 * n - 4, 4 * n + 3):
@@ -80,12 +81,12 @@ def prescribe(
     turn = wp.quat_slerp(rotation[r, k], rotation[r, k + 1], x)
     tangent = wp.quat_rotate(turn, wp.vec3d(ONE, wp.float64(0.0), wp.float64(0.0)))
     side = wp.quat_rotate(turn, wp.vec3d(wp.float64(0.0), ONE, wp.float64(0.0)))
-    tip = key_position(position, r, k, x)
-    foot = tip - rest_length[r, n - 1] * tangent
+    end = key_position(position, r, k, x)
+    beyond = end + rest_length[r, n - 1] * tangent
     e = n - 1
     dof_out[r, 4 * e + 3] = angle_towards(
         side, tangent, dof_before[r, 4 * e + 3], tangent_before[r, e], director_before[r, e]
     )
     for c in range(3):
-        dof_out[r, 4 * e + c] = foot[c]
-        dof_out[r, 4 * n + c] = tip[c]
+        dof_out[r, 4 * e + c] = end[c]
+        dof_out[r, 4 * n + c] = beyond[c]

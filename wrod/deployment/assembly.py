@@ -1,6 +1,7 @@
 """From trials of deployments to batches of rods, tables and steps."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.fixtures import Fixtures
@@ -35,7 +36,12 @@ def assemble(
     friction_field: FrictionField | None = None,
 ) -> tuple[RodBatch, Contact, Dynamics]:
     """The rods of prepared trials, what they touch, and what steps them; see
-    `simulate_deployments`."""
+    `simulate_deployments`.
+
+    Every rod has one node more than its setup: in the grip it goes on for a ghost edge with the
+    grip's direction, massless and touched by nothing, so that what it is bent to at the grip is
+    felt to second order in its edges.
+    """
     batch, rods = _batch(trials, setups, device)
     radius = np.array([rod.radius for rod in rods])
     load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
@@ -49,6 +55,7 @@ def assemble(
             [RodModel.of(t.rod).has_sides or t.trajectory.spin != 0.0 for t in trials]
         ),
         friction_field=friction_field,
+        passive=np.arange(batch.node_count) == np.full((len(rods), 1), batch.node_count - 1),
     )
     dynamics = Dynamics(
         batch,
@@ -67,7 +74,7 @@ def assemble(
     dynamics.max_iterations = _ITERATIONS[int(discretisation.tolerance >= _TIGHT)]
     drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
     if drag is not None:
-        dynamics.set_drag(drag)
+        dynamics.set_drag(np.pad(drag, ((0, 0), (0, 1), (0, 0))))
     return batch, contact, dynamics
 
 
@@ -93,11 +100,17 @@ def _batch(trials, setups, device) -> tuple[RodBatch, list[RodModel]]:
         rod, bent = models[id(trial.rod)], trial.disturbance
         rod = rod.stiffened((1.0 + bent.lgb_error) ** 3)
         held.append(rod.turned(trial.trajectory.roll).bent(bent.natural_curvature))
+    arc, position = (np.stack([getattr(s, n) for s in setups]) for n in ("arc_length", "position"))
+    ghost = arc[:, 1:2] - arc[:, :1]
+    along = Rotation.from_quat([setup.schedule.rotation[0] for setup in setups]).apply([1, 0, 0])
     batch = RodBatch.of(
         held,
-        np.stack([setup.arc_length for setup in setups]),
-        np.stack([setup.position for setup in setups]),
+        np.concatenate([arc, arc[:, -1:] + ghost], axis=1),
+        np.concatenate([position, position[:, -1:] + (ghost * along)[:, None]], axis=1),
+        clamped=(False, True),
         director=np.stack([setup.director for setup in setups]),
         device=device,
     )
+    # The grip holds the rods from the first step on.
+    batch.set_free(np.arange(batch.dof_count) < batch.dof_count - 7)
     return batch, held

@@ -115,7 +115,7 @@ class Tangents:
         launch(
             kernels.natural_forces,
             (rods, batch.node_count - 2),
-            [batch.bending_stiffness, accepted, state.dof, state.director],
+            [batch.rest_length, batch.bending_stiffness, accepted, state.dof, state.director],
             [self.natural],
         )
         launch(

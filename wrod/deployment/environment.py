@@ -215,7 +215,7 @@ class LayingVectorEnv(OnDevice, VectorEnv):
     def _costs(self) -> np.ndarray:
         """(num_envs,) sum of errors at the metric's points that are laid, over all points [cm]."""
         episode = self._episode
-        nodes = episode.batch.positions()
+        nodes = episode.batch.positions()[:, :-1]
         out = np.empty(self.num_envs)
         last = self.time >= episode.setups[0].measure_time - 1e-9
         for k, setup in enumerate(episode.setups):
@@ -226,7 +226,7 @@ class LayingVectorEnv(OnDevice, VectorEnv):
 
     def _observed(self) -> np.ndarray:
         episode = self._episode
-        nodes = episode.batch.positions()
+        nodes = episode.batch.positions()[:, :-1]
         rows = []
         for k, setup in enumerate(episode.setups):
             laid = self._laid(k)

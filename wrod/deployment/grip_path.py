@@ -118,7 +118,8 @@ class GripSchedule:
 
 
 class GripMotion:
-    """Carries the last edge of every rod of a batch (a `wrod.solvers.steps.Motion`).
+    """Carries the ends of a batch's rods by ghost edges beyond them (a
+    `wrod.solvers.steps.Motion`).
 
     Args:
         batch: the rods.

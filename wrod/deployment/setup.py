@@ -261,7 +261,7 @@ def _about_z(quaternions: np.ndarray, angle: float) -> np.ndarray:
 
 
 def _slipped(setup: Setup, disturbance: Disturbance) -> np.ndarray:
-    """(key, 3) displacement of the held edge along the rod: nothing, then all of the slip, from
+    """(key, 3) displacement of the grip along the rod: nothing, then all of the slip, from
     some moment on while the rod is deployed."""
     rng = np.random.default_rng([disturbance.seed, 1])
     start = rng.uniform(setup.approach, max(setup.measure_time - _SLIPPING, setup.approach))

@@ -57,7 +57,7 @@ def simulate_deployment(
     """Lay `rod` along `pattern` by moving the grip along `trajectory`.
 
     The free end's first 5 cm are held along the pattern until more than that is laid. The
-    rest hangs from the grip, which holds the last edge as a clamp. At the end of the pattern the
+    rest hangs from the grip, which holds its end as a clamp. At the end of the pattern the
     grip rests and the rod is measured; then the grip lays the tail straight ahead by the same
     method, opens when 1 L_gb is left, and the rod is measured again.
 
@@ -263,9 +263,10 @@ def _simulate(
         frames=frames, frame_interval=frame_interval or 1.0, progress=note, then=measure,
     )  # fmt: skip
     note(ends)
-    laid, force, slip = node_positions(read(held)), read(force), read(slip)
-    released, film = batch.positions(), None if frames is None else frames.numpy()
-    speed = np.linalg.norm(dynamics.velocities(), axis=2).max(axis=1)
+    # The last nodes are the ghosts of the grips.
+    laid, force, slip = (a[:, :-1] for a in (node_positions(read(held)), read(force), read(slip)))
+    released, film = batch.positions()[:, :-1], None if frames is None else frames.numpy()
+    speed = np.linalg.norm(dynamics.velocities()[:, :-1], axis=2).max(axis=1)
     penetration = contact.penetration()
     deployments = []
     for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
@@ -275,7 +276,7 @@ def _simulate(
         pictures = hand = None
         if film is not None:
             count = int(np.floor(end.time[k] / frame_interval + 1e-9)) + 1
-            pictures = node_positions(film[k, :count]) - sink
+            pictures = node_positions(film[k, :count])[:, :-1] - sink
             hand = setup.schedule.poses(frame_interval * np.arange(count))
             hand[:, :3, 3] -= sink
         deployments.append(

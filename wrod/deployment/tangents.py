@@ -182,10 +182,11 @@ def _laid(
     end = dynamics.advance(
         np.array([s.measure_time for s in setups]), discretisation.step, progress=progress
     )
-    positions, slip = batch.positions(), contact.slip.numpy()
+    # The last nodes are the ghosts of the grips.
+    positions, slip = batch.positions()[:, :-1], contact.slip.numpy()[:, :-1]
     rates = np.zeros((len(trials), 0, *positions.shape[1:]))
     if columns is not None:
-        rates = tangents.values()
+        rates = tangents.values()[:, :, :-1]
     laid = []
     for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
         pattern = with_remainder_of(trial.pattern, trial.trajectory)
@@ -263,10 +264,11 @@ def _columns(trials, setups, directions: list[Directions], moves: list[np.ndarra
 
 
 def _under(trial: Trial, setup: Setup, columns: Directions) -> np.ndarray:
-    """(column, node) rates of the coefficient of friction under a rod's nodes."""
+    """(column, node + 1) rates of the coefficient of friction under a rod's nodes, and under the
+    ghost of the grip, which feels none."""
     at = np.linspace(0.0, trial.rod.length, max(columns.friction.shape[1], 2))
     rates = np.broadcast_to(columns.friction, (len(columns), len(at)))
-    return rates @ interpolation(setup.arc_length, at).T
+    return np.pad(rates @ interpolation(setup.arc_length, at).T, ((0, 0), (0, 1)))
 
 
 def _over_keys(trial: Trial, setup: Setup, values: np.ndarray) -> np.ndarray:
