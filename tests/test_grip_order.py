@@ -1,8 +1,9 @@
-"""A rod between the laid part and the grip converges to the continuous one at second order."""
+"""What a grip holds, rods that hang from it and their stability, is of second order."""
 
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from continuum_rods import ContinuumGrasp, Section
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
@@ -88,3 +89,20 @@ def test_what_hangs_from_a_grip_is_of_second_order_with_its_derivatives():
     assert np.abs(limit - continuous(ROD, fine[0])).max() < 5e-7
     bent = [continuous(ROD.bent(by), fine[0]) for by in (0.1, -0.1)]
     assert np.abs(rates[7] - (bent[0] - bent[1]) / 0.2).max() < 1e-3 * np.abs(rates[7]).max()
+
+
+@pytest.mark.parametrize(
+    "natural",
+    [(0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.6, -0.3)],
+    ids=["straight", "up", "left", "both"],
+)
+def test_how_far_grasps_are_from_instability_is_of_second_order(natural):
+    """Untwisted and twisted by one and two radians."""
+    values = [
+        wrod.solve_grasps(
+            [4.0], [0.0], [1600.0], natural_curvature=natural, edge_count=n, eigenvalues=True
+        ).eigenvalue
+        for n in (64, 128, 256)
+    ]
+    first, second = np.diff(values, axis=0)
+    assert np.log2(first / second) == pytest.approx(2.0, abs=0.05)

@@ -22,6 +22,8 @@ from wrod.grasps.mesh import ghost, node_weights, tolerance, two_sided_rest_leng
 from wrod.kernels.grasping import general_rod, iteration, reading
 from wrod.kernels.linear.frontal import row_width, stencil_entries
 from wrod.rods.batch import RodBatch
+from wrod.rods.discretisation import of_free_part
+from wrod.rods.state import Derivatives
 from wrod.solvers.stability import smallest_eigenvalue
 from wrod.solvers.statics import prescribe
 
@@ -134,6 +136,45 @@ def solve_general(
     return out
 
 
+class _HeldByRoll(RodBatch):
+    """Rods whose grips, pinned and free to turn, hold the roll about the tangent there: the last
+    edge spins by `kernels.grasping.grip_torque`'s c as it turns.
+
+    A torque that follows a tangent has no energy, and of its stiffness the symmetric part counts.
+    That has a moment M/2 (u x dt) beyond the last edge, by which the last half edge gives way.
+    """
+
+    def evaluate(self, *, order: int = 2, **options) -> Derivatives:
+        out = super().evaluate(order=order, **options)
+        if order < 2:
+            return out
+        length = np.linalg.norm(np.diff(self.positions()[:, -2:], axis=1), axis=2)
+        m1, m2 = np.moveaxis(self.material_directors()[:, -1], 1, 0)
+        k1, k2 = self.natural_curvature.numpy()[:, -1].T[..., None]
+        b1, b2 = self.bending_stiffness.numpy()[:, -1].T[..., None, None]
+        half = 0.5 * self.rest_length.numpy()[:, -1:]
+        # The last free node, and the angle of the edge after it, which is held.
+        node, angle = self.dof_count - 7, self.dof_count - 4
+        hessian, spin = out.hessian.numpy(), half * (k2 * m1 - k1 * m2) / length
+        row = hessian[:, angle, ::-1]  # by the ten before and the angle itself
+        moment = out.gradient.numpy()[:, angle, None] / length
+        own = row[:, 7:10, None] * spin[:, None]
+        own = own + own.transpose(0, 2, 1) + row[:, 10, None, None] * _square(spin)
+        own -= (0.25 * half * moment**2)[..., None] * (_square(m2) / b1 + _square(m1) / b2)
+        for i in range(3):
+            for j in range(i + 1):
+                hessian[:, node + i, i - j] += own[:, i, j]
+            for j in range(4):
+                hessian[:, node + i, i + 4 - j] += spin[:, i] * row[:, 3 + j]
+        out.hessian.assign(hessian)
+        return out
+
+
+def _square(vector: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) products of components (n, 3)."""
+    return vector[:, :, None] * vector[:, None]
+
+
 class _GeneralLevel:
     """General rods on one mesh: a straight rod's grasp there, then their own."""
 
@@ -215,9 +256,12 @@ class _GeneralLevel:
         rods, state = self.rods, self.state.contiguous().numpy()
         shape, director = state[:, :, :3], state[:, :-1, 3:6]
         rest = rods["rest_length"]
-        half, behind = ghost(self.straight.curvature.numpy(), rest)
-        # Turned back about the vertical, as the ghost edge stands to the first.
-        c, s = np.cos(2.0 * half), np.sin(2.0 * half)
+        # Clamped at the contact by a ghost edge along x, to which the first edge stands half of the
+        # curvature's angle, and half of the contact's cell bends.
+        half = ghost(self.straight.curvature.numpy(), rest)[0]
+        behind = np.zeros((len(rest), 1, 3))
+        behind[:, 0, 0] = -rest[:, 0]
+        c, s = np.cos(half), np.sin(half)
         x, y, z = director[:, 0].T
         held = np.stack([c * x + s * y, c * y - s * x, z], axis=1)
 
@@ -226,7 +270,17 @@ class _GeneralLevel:
             for name, value in rods.items()
             if name != "weight"
         }
-        batch = RodBatch(
+        share = np.ones((len(rest), rest.shape[1] + 2))
+        share[:, 1] = 0.5
+        bent = {k: v for k, v in padded.items() if k not in ("rest_length", "stretching_stiffness")}
+        padded |= of_free_part(share, **bent)
+        # The last node's twist goes on for half an edge to the grip, its moment what it was.
+        cell = 0.5 * (rest[:, -2] + rest[:, -1])
+        longer = 1.0 + 0.5 * rest[:, -1] / cell
+        excess = state[:, -2, 6] / cell - padded["natural_twist"][:, -2]
+        padded["twisting_stiffness"][:, -2] /= longer
+        padded["natural_twist"][:, -2] += excess * (1.0 - longer)
+        batch = _HeldByRoll(
             np.concatenate([behind, shape], axis=1),
             **padded,
             director=np.concatenate([held[:, None], director], axis=1),
@@ -235,7 +289,7 @@ class _GeneralLevel:
         twist = np.zeros((len(rest), batch.node_count))
         twist[:, 2:-1] = state[:, 1:-1, 6]
         batch.state.reference_twist.assign(twist)
-        prescribe(batch, clamped_nodes=(0, 1, 2, -1), clamped_angles=(0, 1, -1))
+        prescribe(batch, clamped_nodes=(0, 1, -1), clamped_angles=(0, -1))
         return smallest_eigenvalue(batch)
 
 

@@ -238,8 +238,8 @@ def _grasps(inputs: GraspArrays, out: Results, eigenvalue, shapes: bool) -> Gras
 
 def _eigenvalues(inputs: GraspArrays, out: Results):
     """(n,) smallest eigenvalue of the Hessian of every rod, held at the contact and at the grip."""
-    _, kappa, ks = inputs.numpy()
+    _, _, ks = inputs.numpy()
     shape, arc_length = out.shape.numpy(), out.arc_length.numpy()
-    batch = held_batch(kappa, ks, np.diff(arc_length, axis=1), shape, inputs.device)
+    batch = held_batch(ks, np.diff(arc_length, axis=1), shape, inputs.device)
     value = smallest_eigenvalue(batch)
     return inputs.result(wp.array(value, dtype=wp.float64, device=inputs.device))
