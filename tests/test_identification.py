@@ -3,6 +3,7 @@
 import copy
 import json
 import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -17,7 +18,9 @@ from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.setup import ClampedSetup, rotation_of
+from wrod.identification.clamped.steps import base_fit
 from wrod.identification.clamped.trace import trace
+from wrod.identification.clamped.verdict import judge
 from wrod.identification.effect import Effect, Model, Parameter, effects
 from wrod.rods.material import RodMaterial
 from wrod.rods.model_file import load_rod
@@ -265,6 +268,22 @@ def test_what_contains_the_chosen_effect_is_no_rival():
     report = identify(measurements_from_arrays(synthetic(apply)), candidates=names)
     assert [e.name for e in report.effects] == ["stiffness"]
     assert report.selection.confounded == []
+
+
+def test_a_model_with_which_an_unseen_trial_has_no_equilibrium_is_refuted(laboratory, monkeypatch):
+    """Seen with a coil and a profile of force after six minutes, which ended in an error."""
+    empty, lead = base_fit(laboratory), Laboratory._lead
+
+    def folds(self, solver, base, model, values):
+        if model.effects:
+            raise DataError("no equilibrium")
+        return lead(self, solver, base, model, values)
+
+    monkeypatch.setattr(Laboratory, "_lead", folds)
+    model = Model((effects()["natural_curvature"],))
+    found = judge(laboratory, replace(empty, model=model, values=np.ones(2)), empty, [], (0.0, 0.0))
+    assert not found.fit.model.effects
+    assert found.reason.startswith("an unseen trial has no equilibrium with natural_curvature; ")
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.scatter import Scatter, only_scatter
@@ -90,7 +91,12 @@ def judge(
     """
     m = laboratory.measurements
     before = laboratory.rms(laboratory.predict(Model(), np.zeros(0)), m.test) / m.noise_floor
-    after = laboratory.rms(laboratory.predict(fit.model, fit.values), m.test) / m.noise_floor
+    try:
+        after = laboratory.rms(laboratory.predict(fit.model, fit.values), m.test) / m.noise_floor
+    except DataError:  # what was fitted is no rod in a trial that it has not seen
+        found = judge(laboratory, empty, empty, rounds, cross_validation)
+        said = f"an unseen trial has no equilibrium with {' and '.join(fit.model.names)}"
+        return replace(found, reason=f"{said}; {found.reason}")
     unseen = unseen_gain(laboratory, fit, empty)
     proven = bool(fit.model.effects) and is_proven(unseen)
     told, left = (fit, after) if proven else (empty, before)
