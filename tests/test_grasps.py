@@ -131,6 +131,31 @@ def test_every_closure_converges_wherever_inputs_are_allowed(closure):
     assert grasps.converged.mean() >= 0.999
 
 
+@pytest.mark.parametrize(
+    ("closure", "bound"), [("zero_tension", 1e-5), ("min_force", 1e-5), ("min_friction", 2e-3)]
+)
+def test_wires_are_near_the_inextensible_limit(closure, bound):
+    """What a rod stretches is of first order in 1 / k_s, so that softer rods predict wires (1.5e6 for
+    a guide wire, 2.6e6 for nitinol of 0.5 mm). Least friction has a flat optimum."""
+    rng = np.random.default_rng(7)
+    ls, kappa = rng.uniform(2.0, 20.0, 40), rng.uniform(-2.0, 2.0, 40)
+    soft, stiff, wire = (
+        solve_grasps(ls, kappa, k, closure=closure, shapes=False) for k in (1e5, 1e6, 1e7)
+    )
+    for name in ("position", "rotation"):
+        a, b, c = (getattr(one, name) for one in (soft, stiff, wire))
+        expected = b - (a - b) * (1e-6 - 1e-7) / (1e-5 - 1e-6)
+        assert np.abs(c - expected).max() < bound
+        assert np.median(np.abs(c - expected)) < 1e-7
+
+
+def test_every_rod_of_the_catalogue_can_be_planned_with():
+    from wrod.rods.catalogue import rod, rod_names
+
+    ratios = [rod(name).stretch_ratio for name in rod_names()]
+    assert solve_grasps(8.0, 0.2, ratios, shapes=False).converged.all()
+
+
 @pytest.mark.parametrize("closure", ["zero_tension", "min_force", "min_friction"])
 def test_the_way_to_a_grasp_leaves_no_trace(monkeypatch, closure):
     """Other continuation steps bring other rounding: what is left of it is what two devices may

@@ -77,11 +77,11 @@ def command(
         work = replace(work, seconds=min(work.seconds, kept["seconds"]))
         what = f"{data.name} identified (a search of {minutes:g} min at most)"
     cost.settle(work, what, "give less data")
-    bar_format = "{desc}: {elapsed}"
-    with cost.progress_bar(total=4, desc="reading", bar_format=bar_format) as bar:
+    shown = "{desc}: {elapsed}"
+    with cost.progress_bar(total=4, desc="reading", bar_format=shown) as bar:
 
         def say(text: str) -> None:
-            bar.set_description(text)
+            bar.set_description_str(text)
             bar.update()
 
         kept |= {"test": test, "candidates": names or None, "device": device}

@@ -44,7 +44,7 @@ def command(
     with cost.progress_bar(total=4, bar_format="{desc}: {n}/{total} {bar}") as bar:
 
         def progress(stage: str) -> None:
-            bar.set_description(stage)
+            bar.set_description_str(stage)
             bar.update()
 
         manifold = force_map(

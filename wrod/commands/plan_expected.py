@@ -36,7 +36,8 @@ def expecting(
         return foresee(curve, rod, trajectory, friction, device=device, watch=watch)
 
     if not (beside and usable_cores() > 1 and resolve_device(device) == "cpu"):
-        with cost.progress_bar(unit="s", delay=1.0, desc="laying it in simulation") as bar:
+        shown = "laying it in simulation: {n:.1f} s of the robot's time, {elapsed}"
+        with cost.progress_bar(delay=1.0, bar_format=shown) as bar:
 
             def watch(times) -> None:
                 bar.update(max(float(times.min()) - bar.n, 0.0))

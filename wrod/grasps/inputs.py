@@ -17,7 +17,7 @@ from wrod.rods.device import resolve_device
 LIMITS = {
     "suspended_length": (0.2, 100.0),
     "curvature": (-5.0, 5.0),
-    "stretch_ratio": (50.0, 1e5),
+    "stretch_ratio": (50.0, 1e7),
     "natural_curvature": (-1.0, 1.0),
 }
 
