@@ -135,8 +135,8 @@ def test_every_closure_converges_wherever_inputs_are_allowed(closure):
     ("closure", "bound"), [("zero_tension", 1e-5), ("min_force", 1e-5), ("min_friction", 2e-3)]
 )
 def test_wires_are_near_the_inextensible_limit(closure, bound):
-    """What a rod stretches is of first order in 1 / k_s, so that softer rods predict wires (1.5e6 for
-    a guide wire, 2.6e6 for nitinol of 0.5 mm). Least friction has a flat optimum."""
+    """What a rod stretches is of first order in 1 / k_s, so that softer rods predict wires (1.5e6
+    for a guide wire, 2.6e6 for nitinol of 0.5 mm). Least friction has a flat optimum."""
     rng = np.random.default_rng(7)
     ls, kappa = rng.uniform(2.0, 20.0, 40), rng.uniform(-2.0, 2.0, 40)
     soft, stiff, wire = (
