@@ -201,6 +201,12 @@ def test_bend_tighter_than_the_rod_is_refused():
         wrod.plan(small, ROD, "intuitive", remainder=False)
 
 
+def test_bend_beyond_what_is_solved_is_refused_in_units_of_the_pattern():
+    stiff = wrod.RodMaterial(0.001, 0.3, 1.5)
+    with pytest.raises(PatternError, match=r"20 1/m at s = .*the 16\.7 1/m \(5 / L_gb\).*round it"):
+        wrod.plan(wrod.pattern("letter-U"), stiff, closure="zero_tension")
+
+
 @pytest.mark.parametrize("spacing", [0.0, -0.1, np.nan, 1e-9])
 def test_spacing_is_checked(spacing):
     with pytest.raises(PatternError, match="spacing"):

@@ -19,6 +19,7 @@ from wrod.planning.reservations import (
     judge_spacing,
     refuse_tight_bends,
     refuse_unconverged,
+    refuse_unsolved_bends,
     warn_relaxed,
     warn_unstable,
 )
@@ -72,6 +73,8 @@ def plan_grasps(
         closure = _usual_closure(pattern, rod, method, controller)
     s = _contacts(pattern, spacing)
     _, _, curvature = course = pattern.sample(s)
+    if method != "intuitive":
+        refuse_unsolved_bends(pattern, rod, s, curvature)
     roll = roll_angle(roll, pattern, rod)
     inputs = GraspInputs.of(
         rod, rod.length - (s - s[0]), curvature,

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 
 from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
+from wrod.grasps.inputs import LIMITS
 from wrod.grasps.mesh import WEIGHT
 from wrod.grasps.results import Grasps
 from wrod.patterns.pattern import Pattern
@@ -22,12 +23,28 @@ _ANOTHER, _STRAYS = 1e-2, 1e-3
 
 
 def refuse_tight_bends(pattern: Pattern, rod: RodModel | RodMaterial) -> None:
-    s, curvature = pattern.sharpest()
+    at, curvature = pattern.sharpest()
     if abs(curvature) * rod.radius >= 1.0:
-        raise PatternError(
-            f"{pattern.source}: has a curvature of {curvature:.0f} 1/m at s = {s:.3f} m, tighter "
-            f"than the rod's own radius of {rod.radius:g} m; smooth the pattern or make it larger"
-        )
+        raise _too_tight(pattern, curvature, at, f"the rod's own radius of {rod.radius:g} m")
+
+
+def refuse_unsolved_bends(
+    pattern: Pattern, rod: RodModel | RodMaterial, s: np.ndarray, curvature: np.ndarray
+) -> None:
+    """Refuse contacts s (T,) [m] where the curvature (T,) [1/m] is beyond what is solved."""
+    most = LIMITS["curvature"][1]
+    bound, worst = most / rod.gravito_bending_length, int(np.argmax(np.abs(curvature)))
+    if abs(curvature[worst]) > bound:
+        why = f"the {bound:.3g} 1/m ({most:g} / L_gb) up to which grasps of this rod are solved"
+        raise _too_tight(pattern, curvature[worst], s[worst], why)
+
+
+def _too_tight(pattern: Pattern, curvature: float, at: float, than: str) -> PatternError:
+    return PatternError(
+        f"{pattern.source}: has a curvature of {curvature:.3g} 1/m at s = {at:.3f} m, tighter than "
+        f"{than}; make it larger, or round it as `wrod plan` does "
+        "(wrod.patterns.rounding.round_corners)"
+    )
 
 
 def judge_spacing(pattern: Pattern, spacing: float) -> None:
