@@ -60,6 +60,15 @@ def test_height_of_the_plane_is_kept():
     assert wrod.Pattern.from_points(flat).sample([0.0, 0.1])[0][:, 2] == pytest.approx([0.7, 0.7])
 
 
+def test_two_points_are_the_line_between_them():
+    line = wrod.Pattern.from_points([[0.1, 0.0], [0.1, 0.4]])
+    position, tangent, curvature = line.sample([0.0, 0.3])
+    assert line.length == pytest.approx(0.4, abs=1e-12)
+    assert position[1] == pytest.approx([0.1, 0.3, 0.0], abs=1e-9)
+    assert tangent == pytest.approx(np.array([[0.0, 1.0, 0.0]] * 2), abs=1e-9)
+    assert curvature == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
 def changed(index, axis, by):
     points = np.column_stack([POINTS, np.zeros(len(POINTS))])
     points[index, axis] += by
@@ -71,8 +80,8 @@ def changed(index, axis, by):
     [
         (changed(20, 1, np.nan), "line 21: a coordinate is nan"),
         (changed(20, 0, np.inf), "line 21: a coordinate is inf"),
-        (POINTS[:2], "2 distinct points; give at least 3"),
-        (np.zeros((5, 2)), "1 distinct points"),
+        (POINTS[[0, 5, 0]], "2 distinct points; give at least 3"),
+        (np.zeros((2, 2)), "1 distinct points"),
         (np.insert(POINTS, 20, POINTS[19], axis=0), "line 21: repeats the point before"),
         (changed(30, 2, 0.05), "line 31: .*one horizontal plane"),
         (changed(30, 1, 0.005), "line 31: .*spike of curvature"),

@@ -166,7 +166,7 @@ def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
             for shape in shapes
         ]
         if shapes and not any(fits):
-            return f"has shape {found.shape} and must have {said}"
+            return f"must be an array of shape {said}, not {found.shape}"
         if there:
             return None
         if finite and not np.isfinite(found).all():
@@ -223,7 +223,10 @@ def either(*checks: Check) -> Check:
 
     def check(value: Any) -> str | None:
         wrong = [one(value) for one in checks]
-        return None if None in wrong else " or ".join(str(word) for word in wrong)
+        if None in wrong:
+            return None
+        first, *others = map(str, wrong)
+        return " or ".join([first, *(other.removeprefix("must be ") for other in others)])
 
     return check
 

@@ -135,7 +135,7 @@ def _read_text(path: Path) -> RawPoints:
         if len(rows) > _MAX_POINTS:
             raise PatternError(f"{path}: {_too_many(len(rows))}")
     if not rows:
-        raise PatternError(f"{path}: holds no points; give at least 3")
+        raise PatternError(f"{path}: holds no points; give at least 2")
     if count in (4, 6) and _COMMAS_ONLY.match(text.splitlines()[lines[0] - 1]):
         raise PatternError(
             f"{path}, line {lines[0]}: {count} whole numbers between commas look like {count // 2} "
@@ -224,7 +224,7 @@ def checked_points(raw: RawPoints, units: str | None) -> np.ndarray:
         )
     points = raw.points
     if points.ndim == 0 or len(points) == 0:
-        raise PatternError(f"{raw.source}: holds no points; give at least 3")
+        raise PatternError(f"{raw.source}: holds no points; give at least 2")
     if len(points) > _MAX_POINTS:
         raise PatternError(f"{raw.source}: {_too_many(len(points))}")
     if points.ndim != 2 or points.shape[1] not in (2, 3):
@@ -247,6 +247,8 @@ def checked_points(raw: RawPoints, units: str | None) -> np.ndarray:
         )
     if points.shape[1] == 2:
         points = np.column_stack([points, np.zeros(len(points))])
+    if len(points) == 2:  # the line between them
+        points = np.insert(points, 1, points.mean(axis=0), axis=0)
     if len(np.unique(points, axis=0)) < 3:
         raise PatternError(
             f"{raw.source}: has {len(np.unique(points, axis=0))} distinct points; give at least 3"
