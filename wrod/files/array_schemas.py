@@ -5,7 +5,7 @@ Letters in a shape are lengths; the same letter is the same length within a file
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 _INF = float("inf")
 # A table, and everything on it or beside it, lies within so much [m].
@@ -83,6 +83,7 @@ def _optional(*shape: int | str, unit: str = "", **more) -> Field:
 
 _GRAVITY = Field((), "m/s^2", above=0.0, high=30.0)
 _LENGTH = Field((), "m", above=0.0, high=30.0)
+_AXES = "columns m1, m2, tangent"
 _CABLE = {
     "length": _LENGTH,
     "cable_mass": Field((), "kg", above=0.0, high=1e3),
@@ -105,7 +106,12 @@ ARRAYS = {
             "arc_length": Field(("T",), "m", -1e-9, FARTHEST, order="rising", about="laid length"),
             "contact": _place("T", 3),
             "position": _place("T", 3),
-            "rotation": Field(("T", 3, 3), kind="rotations", precision=1e-6),
+            "rotation": Field(
+                ("T", 3, 3),
+                kind="rotations",
+                precision=1e-6,
+                about="first column the rod's tangent",
+            ),
             "force": Field(("T", 3), "N", -1e12, 1e12, gaps=True),
             "shape": _place("T", "N", 3, needed=False, gaps=True),
             "twist": Field(("T",), "rad", -1e3, 1e3, needed=False),
@@ -161,26 +167,27 @@ ARRAYS = {
         axes={"K": "sample", "J": "joint", "T": "contact node"},
     ),
     "ClampedMeasurements": ArrayFile(
-        "A rod held between two clamps (`wrod identify`).",
+        "A rod held between two clamps (`wrod identify`), z up. A clamp's axes are m1, m2 and the "
+        "tangent towards the gripper.",
         "an .npz file of measurements (`wrod identify --template clamped` writes an example)",
         {
-            "centerline": Field(("T", "M", 3), "m", gaps=True, about="markers"),
-            "arc_length": Field(("M",), "m"),
+            "centerline": Field(("T", "M", 3), "m", gaps=True, about="markers, as seen"),
+            "arc_length": Field(("M",), "m", about="of the markers from the clamp, unstretched"),
             "clamp_position": Field(("T", 3), "m"),
-            "clamp_rotation": Field(("T", 3, 3), kind="rotations"),
+            "clamp_rotation": Field(("T", 3, 3), kind="rotations", about=_AXES),
             "grip_position": Field(("T", 3), "m"),
-            "grip_rotation": Field(("T", 3, 3), kind="rotations"),
-            "grip_force": _optional("T", 3, unit="N"),
-            "grip_torque": _optional("T", 3, unit="N m"),
-            "train_idx": _indices("A"),
-            "test_idx": _indices("B"),
-            "length": _LENGTH,
+            "grip_rotation": Field(("T", 3, 3), kind="rotations", about=_AXES),
+            "grip_force": _optional("T", 3, unit="N", about="of the gripper on the rod"),
+            "grip_torque": _optional("T", 3, unit="N m", about="the same, about `grip_position`"),
+            "train_idx": _indices("A", about="trials to fit to"),
+            "test_idx": _indices("B", about="trials to score on"),
+            "length": replace(_LENGTH, about="of the rod between clamp and gripper"),
             "radius": Field((), "m", above=0.0, high=1.0),
             "density": Field((), "kg/m^3", 1e-2, 1e5),
-            "L_gb": _LENGTH,
+            "L_gb": replace(_LENGTH, about="as measured (`wrod loop`)"),
             "poisson": Field((), "", above=-1.0, high=0.5),
             "gravity": _GRAVITY,
-            "noise_std": Field((), "m", above=0.0),
+            "noise_std": Field((), "m", above=0.0, about="of one coordinate of a marker"),
         },
         least={"T": 2, "M": 3, "A": 2, "B": 1},
         axes={"T": "trial", "M": "marker", "A": "trial", "B": "trial"},
