@@ -75,6 +75,18 @@ class Dlpack:
         return (1, 0)
 
 
+class Elsewhere:
+    """An array on a GPU, as Warp's and CuPy's: NumPy does not get it."""
+
+    device, dtype, shape, ndim = "cuda:0", np.dtype("f8"), (4, 3), 2
+
+    def __array__(self, dtype=None, copy=None):
+        raise TypeError("no implicit conversion")
+
+    def __len__(self):
+        return 4
+
+
 class Short:
     """An array whose shape is another one each time."""
 
@@ -127,7 +139,7 @@ def _holding_itself():
 STRANGE = {
     "unsaid": Unsaid(), "no length": Sized(-1), "endless length": Sized(2**62),
     "text length": Sized("a"), "anything": Anything(), "pretender": Pretender(),
-    "interface": Interface(), "dlpack": Dlpack(), "short": Short(), "jealous": Jealous(0.5),
+    "interface": Interface(), "dlpack": Dlpack(), "short": Short(), "elsewhere": Elsewhere(), "jealous": Jealous(0.5),
     "mock": unittest.mock.MagicMock(), "mock of an array": unittest.mock.MagicMock(spec=np.ndarray),
     "sentinel": unittest.mock.sentinel.x, "int enum": Colour.RED, "text enum": Letter.LINE,
     "named pair": Pair(0.1, 0.2), "deque": collections.deque([0.1, 0.2]),
@@ -184,5 +196,6 @@ with suppress(ImportError):
         "quantized": torch.quantize_per_tensor(torch.ones(3), 0.1, 0, torch.qint8),
         "inference": torch.inference_mode()(lambda: torch.ones(3))(), "generator": torch.Generator(),
         "deep tensor": torch.zeros((1,) * 20), "text in grad": [torch.tensor(0.1), "a"],
+        "on a GPU": torch.ones((4, 3), device="cuda" if torch.cuda.is_available() else "cpu"),
         "tensors": [torch.tensor(0.1), torch.tensor(0.2)],
     }  # fmt: skip

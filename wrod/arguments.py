@@ -144,18 +144,22 @@ def whole(low: int = 0, high: int = 2**53) -> Check:
     return check
 
 
-def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
-    """Numbers of one of these shapes; None stands for any length."""
+def array(*shapes: tuple[int | None, ...], finite: bool = True, anywhere: bool = False) -> Check:
+    """Numbers of one of these shapes; None stands for any length. `anywhere`: those of torch and
+    Warp may lie on a GPU, where they are not looked at."""
     said = " or ".join(str(shape).replace("None", "n") for shape in shapes) or "(n,)"
 
     def check(value: Any) -> str | None:
         if getattr(value, "requires_grad", False) is True:
             return "would lose its gradient: use wrod.training.autograd, or detach it"
-        there = "cuda" in str(getattr(value, "device", ""))  # looking at it would bring it here
+        place = str(getattr(value, "device", ""))
+        there = anywhere and type(value).__module__.partition(".")[0] in ("torch", "warp")
+        there = there and "cuda" in place  # looking at it would bring it here
         try:
             found = np.empty(tuple(value.shape)) if there else np.asarray(value)
         except Exception:  # whatever an object does that is asked to be an array
-            return f"must be an array of shape {said}"
+            where = f", on the host and not on {place}" if "cuda" in place else ""
+            return f"must be an array of shape {said}{where}"
         if found.dtype.kind not in "fiu" or _has_masked(value):
             return f"must be an array of numbers, none masked, of shape {said}"
         if found.size > MOST_NUMBERS:

@@ -35,9 +35,9 @@ _KEPT_SHARE = 0.1
 @launching()
 @arguments.checked(
     GraspError,
-    suspended_length=arguments.array(finite=False),
-    curvature=arguments.array(finite=False),
-    stretch_ratio=arguments.array(finite=False),
+    suspended_length=arguments.array(finite=False, anywhere=True),
+    curvature=arguments.array(finite=False, anywhere=True),
+    stretch_ratio=arguments.array(finite=False, anywhere=True),
     natural_curvature=arguments.optional(arguments.array((2,), (None, 2), finite=False)),
     poisson=arguments.number(-1.0, 0.5),
     edge_count=arguments.whole(4, 4096),
