@@ -50,13 +50,15 @@ def _hold_name(held: contextlib.ExitStack, output: str | os.PathLike[str], part:
     held.callback(file.close)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except BlockingIOError:
         file.seek(0)
         owner = file.read(20).strip()
         raise DataError(_REFUSAL.format(output, owner or "unknown")) from None
-    file.truncate(0)
-    file.write(str(os.getpid()))
-    file.flush()
+    except OSError:
+        return  # a file system without locks
+    with contextlib.suppress(OSError):  # or without room
+        os.ftruncate(file.fileno(), 0)
+        os.pwrite(file.fileno(), str(os.getpid()).encode(), 0)
 
 
 def _hold_folder(

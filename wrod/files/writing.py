@@ -45,11 +45,10 @@ def write_atomically(
     path.parent.mkdir(parents=True, exist_ok=True)
     _sweep(path.parent)
     try:
-        handle, temporary = _begin_part(path)
+        handle, held, temporary = _begin_part(path)
     except OSError as error:
         error.filename = str(path)
         raise
-    held = os.dup(handle)  # keeps the lock until the file has its name
     try:
         with os.fdopen(handle, mode, newline="" if mode == "w" else None) as file:
             write(file)
@@ -67,16 +66,22 @@ def write_atomically(
     return path
 
 
-def _begin_part(path: Path) -> tuple[int, str]:
-    """An open file that nobody else has, beside `path`, locked for as long as it is open."""
+def _begin_part(path: Path) -> tuple[int, int, str]:
+    """An open file that nobody else has, beside `path`, twice: locked until the second is closed,
+    when it has its name."""
     while True:
         handle, temporary = tempfile.mkstemp(_ENDING, f".{path.name[:40]}.", path.parent)
-        if fcntl is None:
-            return handle, temporary
-        with contextlib.suppress(OSError):  # a file system without locks
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.path.exists(temporary):
-            return handle, temporary
+        try:
+            if fcntl is not None:
+                with contextlib.suppress(OSError):  # a file system without locks
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if fcntl is None or os.path.exists(temporary):
+                return handle, os.dup(handle), temporary
+        except BaseException:  # interrupted, or no file more may be open
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            os.close(handle)
+            raise
         os.close(handle)  # swept before it was locked
 
 
