@@ -21,8 +21,13 @@ if _HEARD:
 
 def main() -> None:
     """Load the package and run it, which hears interruptions itself."""
-    from wrod.__main__ import main as run
-
+    try:
+        from wrod.__main__ import main as run
+    except Exception as error:
+        if os.environ.get("WROD_TRACEBACK"):
+            raise
+        os.write(2, f"wrod: cannot be loaded ({error}); install it anew\n".encode())
+        os._exit(2)
     try:
         if _HEARD:
             signal.signal(signal.SIGINT, signal.default_int_handler)

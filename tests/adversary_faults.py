@@ -72,7 +72,7 @@ _EVENTS = {
 _ERRORS = ("EIO", "ENOSPC", "EACCES", "EMFILE", "ESTALE", "MemoryError", "SIGINT", "SIGTERM")
 _MODULES = (
     "scipy", "scipy.optimize", "scipy.interpolate", "matplotlib", "matplotlib.figure", "PIL",
-    "cv2", "skimage", "torch", "warp", "msgspec", "tqdm", "safetensors", "lazy_loader", "fcntl",
+    "cv2", "skimage", "torch", "warp", "msgspec", "tqdm", "safetensors", "fcntl",
     "newton", "pxr", "trimesh", "ezdxf", "svgelements", "networkx", "ruckig", "pytorch_kinematics",
 )  # fmt: skip
 _IMPORTERS = ("plan", "show", "scan", "deploy", "train")

@@ -423,6 +423,40 @@ def test_what_cannot_be_done_or_written_is_refused_before_the_work(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_fails_before_it_is_written_leaves_nothing(tmp_path, monkeypatch):
+    import fcntl
+
+    for place, name, error in (
+        (fcntl, "flock", KeyboardInterrupt()), (os, "dup", OSError(errno.EMFILE, "Too many files")),
+    ):  # fmt: skip
+        with monkeypatch.context() as patch, pytest.raises(type(error)):
+            patch.setattr(place, name, lambda *_, error=error: (_ for _ in ()).throw(error))
+            write_atomically(tmp_path / "a", lambda file: file.write("whole"))
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_system_without_locks_takes_outputs(tmp_path, monkeypatch):
+    import fcntl
+
+    from wrod.files.locking import locked
+
+    def none(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", none)
+    with locked(tmp_path):
+        write_atomically(tmp_path / "a", lambda file: file.write("whole"))
+
+
+def test_a_package_that_cannot_be_loaded_is_said(tmp_path):
+    (tmp_path / "lazy_loader.py").write_text("raise ImportError('libx.so: no such file')")
+    call = [sys.executable, "-c", "import wrod_start; wrod_start.main()"]
+    around = os.environ | {"PYTHONPATH": str(tmp_path)}
+    run = subprocess.run(call, env=around, capture_output=True, text=True)
+    assert run.returncode == REFUSED and "libx.so" in run.stderr
+    assert len(run.stderr.splitlines()) == 1
+
+
 def test_what_a_killed_process_left_half_written_goes(tmp_path):
     code = (
         "import sys, time; from wrod.files import write_atomically\n"

@@ -11,6 +11,9 @@ def main() -> None:
     try:
         import os
 
+        # Threads of BLAS wait by spinning: `wrod show` took 16 CPU s on 16 cores, and 2 with one.
+        if "OMP_NUM_THREADS" not in os.environ:
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from wrod.commands import main as run
 
         run(obj=OWN_PROCESS)
