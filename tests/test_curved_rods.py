@@ -342,3 +342,29 @@ def test_only_of_a_rod_with_sides_is_it_said_how_to_roll_it(tmp_path, bent, said
     args = ["plan", "line", "--rod", str(tmp_path / "rod.json"), "--out", str(tmp_path / "o")]
     result = done(*args, "--no-robot", "--no-expect", "--spacing", "0.1", "--device", "cpu")
     assert ("the rod has sides" in result.stdout) == said
+
+
+def test_a_rod_described_in_directors_that_wind_is_laid_as_before():
+    """An isotropic rod's directors are its user's choice: those that turn by 6 rad/m along it, in
+    which it is twisted at rest and its natural curvature turns back."""
+    length, winds = 0.3, 6.0
+    plain = replace(wrod.RodModel.of(wrod.RodMaterial(0.0016, 0.032, length)),
+                    natural_curvature=(4.0, 1.0))  # fmt: skip
+    s = np.linspace(0.0, length, 601)
+    towards = (4.0 + 1.0j) * np.exp(-1j * winds * s)
+    parts = [wrod.Profile(tuple(part), tuple(s)) for part in (towards.real, towards.imag)]
+    wound = replace(plain, natural_curvature=tuple(parts), natural_twist=winds)
+    heading = 0.6 * np.sin(np.linspace(0.0, 2 * np.pi, 101))
+    points = 1.2e-3 * np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0)
+    pattern = wrod.Pattern.from_points(points)
+    trials = [
+        wrod.Trial(pattern, rod, wrod.plan(pattern, rod, "numeric", spacing=0.02), friction)
+        for rod in (plain, wound)
+        for friction in [wrod.Friction(0.6)]
+    ]
+    one, other = (trial.trajectory for trial in trials)
+    assert np.abs(one.position - other.position).max() < 5e-6
+    assert other.twist - one.twist == pytest.approx(winds * length, abs=1e-4)
+    mesh = wrod.Discretisation(0.01, 0.02, tolerance=1e-8)
+    one, other = wrod.simulate_deployments(trials, discretisation=mesh, speed=0.05)
+    assert np.abs(one.centerline - other.centerline).max() < 2e-5

@@ -9,7 +9,7 @@ from wrod.deployment.grip_path import GripMotion
 from wrod.deployment.setup import Setup
 from wrod.deployment.trial import Trial
 from wrod.rods.batch import RodBatch
-from wrod.rods.discretisation import quadratic_drag
+from wrod.rods.discretisation import directors_at_rest, quadratic_drag
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Contact, FrictionField, Plane
 from wrod.solvers.dynamics import Dynamics
@@ -103,13 +103,12 @@ def _batch(trials, setups, device) -> tuple[RodBatch, list[RodModel]]:
     arc, position = (np.stack([getattr(s, n) for s in setups]) for n in ("arc_length", "position"))
     ghost = arc[:, 1:2] - arc[:, :1]
     along = Rotation.from_quat([setup.schedule.rotation[0] for setup in setups]).apply([1, 0, 0])
+    arc = np.concatenate([arc, arc[:, -1:] + ghost], axis=1)
+    position = np.concatenate([position, position[:, -1:] + (ghost * along)[:, None]], axis=1)
+    director = np.stack([setup.director for setup in setups])
+    director = directors_at_rest(held, arc, position, director)
     batch = RodBatch.of(
-        held,
-        np.concatenate([arc, arc[:, -1:] + ghost], axis=1),
-        np.concatenate([position, position[:, -1:] + (ghost * along)[:, None]], axis=1),
-        clamped=(False, True),
-        director=np.stack([setup.director for setup in setups]),
-        device=device,
+        held, arc, position, clamped=(False, True), director=director, device=device
     )
     # The grip holds the rods from the first step on.
     batch.set_free(np.arange(batch.dof_count) < batch.dof_count - 7)

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from wrod.patterns.curve import arc_length
 from wrod.rods.batch import RodBatch
+from wrod.rods.discretisation import directors_at_rest
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.state import node_positions
@@ -41,8 +42,10 @@ def left_alone(
     """
     weight = np.array([rod.weight for rod in rods])
     radius = np.array([rod.radius for rod in rods])
+    director = directors_at_rest(rods, arc_length, position, director)
     batch = RodBatch.of(rods, arc_length, position, director=director, device=device)
-    contact = Contact(batch, radius, weight / (_SINKING * radius), friction)
+    sides = np.array([RodModel.of(rod).has_sides for rod in rods])
+    contact = Contact(batch, radius, weight / (_SINKING * radius), friction, keeps_roll=sides)
     dynamics = Dynamics(
         batch,
         scheme="euler",
@@ -79,7 +82,8 @@ class Fall:
         Args:
             rod: what it is.
             shape: (M, 3) centreline as it was held, its lowest points on the table [m]; evenly
-                spaced along the rod. It is taken for free of twist and stretch.
+                spaced along the rod. It is taken for free of stretch, and of twist but for what is
+                there at rest.
             until: when it lies [s since it was let go].
             friction: of the table [-].
         """

@@ -197,9 +197,12 @@ def prepare_deployment(
 
     path = GripPath(laid[first:], trajectory.position[first:], trajectory.rotation[first:])
     tip = position[-1] - position[-2]
-    begin = position[-1], _frame_without_twist(frame, position, on_table, tip)
+    # It begins with the twist that it has at rest.
+    rolled = float(RodModel.of(rod).rolled(arc_length[-1]))
+    turn = Rotation.from_rotvec([rolled, 0.0, 0.0]).as_matrix()
+    begin = position[-1], _frame_without_twist(frame, position, on_table, tip) @ turn
     twist = 0.0 if trajectory.twist is None else float(trajectory.twist[first])
-    turns = _whole_turns(begin[1], trajectory.rotation[first], twist)
+    turns = _whole_turns(begin[1], trajectory.rotation[first], twist - rolled)
     schedule, approach, measure_time, end_time, covered = _schedule(
         path, tail, begin, turns, release, int(on_table.sum()), speed
     )

@@ -98,8 +98,16 @@ def _intuitive(inputs: GraspInputs) -> Grasps:
     length = inputs.suspended_length
     count = len(length)
     position = np.column_stack([np.zeros((count, 2)), length])
-    rotation = np.tile([0.0, -np.pi / 2.0, 0.0], (count, 1))
-    return Grasps(position, rotation, np.full((count, 3), np.nan))
+    upright = Rotation.from_rotvec([0.0, -np.pi / 2.0, 0.0])
+    # With the twist that it has at rest.
+    rolled = 0.0 if inputs.rod is None else float(inputs.rod.rolled(inputs.rod.length))
+    rotation = (upright * Rotation.from_rotvec([rolled, 0.0, 0.0])).as_rotvec()
+    return Grasps(
+        position,
+        np.tile(rotation, (count, 1)),
+        np.full((count, 3), np.nan),
+        twist=np.full(count, rolled) if rolled else None,
+    )
 
 
 def _of_varying_rod(inputs: GraspInputs) -> Grasps:

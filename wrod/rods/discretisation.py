@@ -16,6 +16,7 @@ from wrod.errors import RodError
 from wrod.rods.law import Softening
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
+from wrod.rods.rotation import carried, unit
 
 Rod = RodModel | RodMaterial
 # Powers of the free share that quantities go with, each component's where they differ.
@@ -197,6 +198,29 @@ def _hang(mass: np.ndarray, s: np.ndarray, place: float, extra: float, clamped) 
         part = np.clip((place - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0, 1.0)
         mass[row, i] += (1.0 - part) * extra
         mass[row, i + 1] += part * extra
+
+
+def directors_at_rest(
+    rods: Rod | Sequence[Rod], arc_length: np.ndarray, position: np.ndarray, director: np.ndarray
+) -> np.ndarray:
+    """(rod, edge, 3) first material directors of rods that lie with the twist that they have at
+    rest.
+
+    Args:
+        rods: one, or one for each of the rows.
+        arc_length: (rod, node) [m].
+        position: (rod, node, 3).
+        director: (rod, 3) of the rods' beginnings, across the first edges.
+    """
+    tangent = unit(np.diff(position, axis=1))
+    across = unit(
+        director - np.sum(director * tangent[:, 0], axis=1, keepdims=True) * tangent[:, 0]
+    )
+    first = carried(across, tangent)
+    middle = 0.5 * (arc_length[:, 1:] + arc_length[:, :-1])
+    pairs = zip(models_of(rods), middle, strict=True)
+    angle = np.stack([model.rolled(s) for model, s in pairs])[..., None]
+    return np.cos(angle) * first + np.sin(angle) * np.cross(tangent, first)
 
 
 def principal_directors(
