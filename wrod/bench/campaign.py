@@ -135,21 +135,27 @@ class Common:
     )
     speed: float = option("Speed of the contact [m/s].")
     step: float = option("Largest time step [s].")
+    scheme: str = option(
+        "Of time stepping, of first and of second order.",
+        type=click.Choice(["euler", "bdf2"]),
+        default="euler",
+    )
     spacing: float = option("Length of the edges [m].")
     batch: int | None = option("Trials simulated at once; default: 32, CUDA all.")
     device: str = option("cpu, cuda:0 or auto.", default="auto")
 
     @property
-    def settings(self) -> dict[str, float]:
+    def settings(self) -> dict[str, Any]:
         """What trials have to have in common, in the ledger's words."""
         names = ("speed", "step", "spacing", "release")
-        return {name: getattr(self, name) for name in names}
+        scheme = {} if self.scheme == "euler" else {"scheme": self.scheme}
+        return {name: getattr(self, name) for name in names} | scheme
 
     def how(self, node_count: int | None = None) -> dict[str, Any]:
         """How trials are simulated."""
         from wrod.deployment.discretisation import Discretisation
 
-        mesh = Discretisation(self.spacing, self.step, node_count=node_count)
+        mesh = Discretisation(self.spacing, self.step, self.scheme, node_count=node_count)
         return {"discretisation": mesh, "speed": self.speed, "release": self.release}
 
     @property
