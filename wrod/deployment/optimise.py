@@ -53,8 +53,9 @@ def optimise(
     cost in size and roughness. A step that makes it worse is taken back and shortened, after one
     that was damped and kept its promise the next may be twice as large. Where much is left, bends
     are corrected one after the other (`wrod.deployment.descent`). Meshes are coarse. Then disturbed
-    rods that none of this has seen are laid on fine ones by each of the paths that were tried, but
-    for those by which the sample lies worse by more than 1 mm. That by which they would lie best if
+    rods that none of this has seen are laid on fine ones by the path by which the sample lies best,
+    by the one that a further step leads to, and by that without a correction unless the sample lies
+    worse by it by more than 1 mm. That by which they would lie best if
     they were spread evenly (`balanced`) is taken, but none rather than one that is not better than
     none by more than the standard error of the differences; what they show is what is expected of
     the plan.
@@ -166,9 +167,10 @@ def course(
     states, ahead = yield from descend(problem, judge)
     tried = [Tried(one.values, one.errors.mean(), (0, one.measure)) for one in states]
     if judge:
-        least = min(one.errors.mean() for one in states) + _PLAIN
-        near = [one.values for one in states if one.errors.mean() <= least]
-        tried = yield from problem.judged([*near, *ahead])
+        best = min(states, key=lambda one: one.errors.mean())
+        near = [states[0]] if states[0].errors.mean() <= best.errors.mean() + _PLAIN else []
+        near += [best] if best.values.any() else []
+        tried = yield from problem.judged([*(one.values for one in near), *ahead])
     best = _chosen(tried)
     corrected = corrections.apply(best.values)
     said = {
