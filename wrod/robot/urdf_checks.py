@@ -216,8 +216,8 @@ def chain_limits(path, joints, tip: str) -> tuple:
         name = joint.get("name")
         if joint.get("type") == "prismatic":
             raise RobotError(
-                f"{path}: joint {name!r:.80} slides; paths are planned for joints that turn, so make "
-                "it fixed in the file, with its origin where it is to stand"
+                f"{path}: joint {name!r:.80} slides; paths are planned for joints that turn, so "
+                "make it fixed in the file, with its origin where it is to stand"
             )
         limit = joint.find("limit")
         if joint.get("type") == "continuous":
