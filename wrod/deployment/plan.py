@@ -100,9 +100,8 @@ def plan(
         of its natural curvature that a grasp of a varying rod was made with (`grasps.relaxed`).
 
     Raises:
-        PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
-            bend it tighter than its own radius or than grasps are solved for, or spacing is not
-            positive.
+        PatternError: less than 1 L_gb of the rod is left suspended, it is bent tighter than its
+            radius or than grasps are solved for, or spacing is not positive.
         GraspError: unknown method, friction for the intuitive one, a grasp that did not converge
             (names node and inputs), or a controller that was made for another rod.
 
