@@ -1,4 +1,4 @@
-"""A cable swings from a clamp: damping inside the material brakes bending, not the swing."""
+"""A cable swings from a pin: damping inside the material brakes bending, not the swing."""
 
 from pathlib import Path
 

@@ -294,6 +294,8 @@ def prescribe(
     Args:
         clamped_nodes, pinned_nodes: node indices (negative from the end) whose position is
             prescribed. Two clamped neighbours prescribe the direction of the edge between them.
+            The rod then begins in the middle of that edge, half an edge early, unless the batch
+            was made with `RodBatch.of(..., clamped=...)`, by which it begins at the inner node.
         clamped_angles: edge indices whose material angle is prescribed.
     """
     free = np.ones((batch.rod_count, batch.dof_count), dtype=bool)
