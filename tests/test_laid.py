@@ -163,6 +163,10 @@ def test_laid_command(plan, tmp_path):
     figures = told(*args, "--json")
     assert np.mean(figures["left_mm"]) == pytest.approx(2.0, abs=0.1)
     refused("no rod given", *args[:-1], "1")
+    rod = ("--radius", ROD.radius, "--lgb", ROD.gravito_bending_length, "--length", ROD.length)
+    args[1] = str(tmp_path / "none")
+    found = refused("none: no such file", *args[:-2], *rod)
+    assert found.stderr.count("\n") == 1  # nothing is said of work that is not begun
 
 
 def test_friction_of_the_table_is_found(plan):

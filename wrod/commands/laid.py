@@ -105,7 +105,6 @@ def command(
     path = Trajectory.load(trajectory)
     if fit.iterations > 0:
         refuse_another_rod(path, rod_options.read(), ("length", "radius"))
-        fit.settle(rod_options.read())
     curve = with_remainder_of(reading.read(pattern), path)
     laid = load_laid(list(rods), curve, units=reading.units, noise=noise)
     along, left = 1e3 * laid.residual().mean(axis=0).T
@@ -118,6 +117,7 @@ def command(
         "left_mm": left.tolist(),
     }
     if fit.iterations > 0:
+        fit.settle(rod_options.read())
         found = fit.run(laid, rod_options.read(), path, device)
         figures |= {
             "verdict": found.verdict,
