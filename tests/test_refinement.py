@@ -9,12 +9,13 @@ from hidden import kept
 from wrod.identification.clamped.fit import fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
-from wrod.identification.clamped.profiles import KNOTS, ProfileEffect, likenesses, root_of
+from wrod.identification.clamped.profiles import KNOTS, ProfileEffect, root_of
 from wrod.identification.clamped.refinement import (
     _SHARE,
     _SIZES,
     _beside,
     _expected,
+    _likenesses,
     in_doubt,
     refined,
 )
@@ -73,7 +74,7 @@ def test_a_straight_line_stays_one_with_errors_that_do_not_take_it_for_granted()
     ((true,),) = (own.values() for own in truth.values())
     assert np.abs(line.values - true).max() < 0.02
     (effect,) = line.model.effects
-    told = in_doubt(doubts[0], 0, effect, line.values, m)
+    told = in_doubt(line, 0, doubts, m)
     assert [told[p.key].value for p in effect.parameters] == pytest.approx(line.values)
     value, error = at_quarters(told, 480)
     true = 1.0 + true[0] + (true[1] - true[0]) * np.linspace(0.0, 1.0, 5)
@@ -87,7 +88,7 @@ def test_errors_hold_what_profiles_are_drawn_from():
     """80 % intervals hold 80 % of what the prior draws, whatever its size and smoothness are."""
     laboratory, line, _ = by_a_line("stiffness_gradient")
     own, rng, inside = _beside(laboratory, line, 0, "stiffness"), np.random.default_rng(5), []
-    like, sizes = likenesses(), _SIZES[6:-3]
+    like, sizes = _likenesses(), _SIZES[6:-3]
     chances = sizes / (1.0 + (sizes / _SHARE) ** 2)
     noise = np.linalg.cholesky(own.grams[0] + 1e-9 * np.trace(own.grams[0]) * np.eye(KNOTS))
     for _ in range(200):

@@ -194,18 +194,12 @@ def told(kind: str, effect: Effect, values, measurements) -> tuple[np.ndarray, n
     return of(values), np.stack(rates, axis=2)
 
 
-def likenesses() -> list[np.ndarray]:
-    """(KNOTS, KNOTS) covariances of smooth profiles 1 large, one for each smoothness."""
-    place = np.linspace(0.0, 1.0, KNOTS)
-    apart = place[:, None] - place
-    return [np.exp(-0.5 * (apart / smooth) ** 2) for smooth in _SMOOTH]
-
-
-def root_of(like: np.ndarray, width: int) -> np.ndarray:
+def root_of(like: np.ndarray, width: int, least: float = 1e-6) -> np.ndarray:
     """(width * KNOTS, P) root of the prior covariance of profiles whose components are independent
-    and alike, without what is next to nothing."""
+    and alike, without modes of less than that share of the mean variance. What is left out is
+    certain to be nothing, so that errors do not bear it."""
     sizes, vectors = np.linalg.eigh(like)
-    keep = sizes > _LEAST * sizes.sum() / KNOTS
+    keep = sizes > least * sizes.sum() / KNOTS
     return np.kron(np.eye(width), vectors[:, keep] * np.sqrt(sizes[keep]))
 
 
@@ -321,8 +315,9 @@ def likeliest(kind: str, width: int, gram: np.ndarray, projected: np.ndarray) ->
             and with the residual.
     """
     best: tuple[float, Found] | None = None
-    for like in likenesses():
-        root = root_of(like, width)
+    place = np.linspace(0.0, 1.0, KNOTS)
+    for smooth in _SMOOTH:
+        root = root_of(np.exp(-0.5 * ((place[:, None] - place) / smooth) ** 2), width, _LEAST)
         small, modes = np.linalg.eigh(root.T @ gram @ root)
         small = np.maximum(small, 0.0)
         towards = modes.T @ (root.T @ projected)

@@ -30,11 +30,10 @@ from wrod.identification.clamped.profiles import (
     ProfileEffect,
     as_basis,
     likeliest,
-    likenesses,
     root_of,
     told,
 )
-from wrod.identification.clamped.steps import has_profile, held_out_error
+from wrod.identification.clamped.steps import has_profile, held_out_error, pruned
 from wrod.identification.clamped.verdict import Round, changed_by
 from wrod.identification.effect import Effect, Estimate, Model
 
@@ -42,12 +41,15 @@ from wrod.identification.effect import Effect, Estimate, Model
 _QUANTITIES = ("curvature", "stiffness", "weight")
 # Log evidence of all trials from which a profile is likelier than the law, twenty to one [nats].
 _EVIDENCE = 3.0
-# How often the noise is estimated beside the profile and the profile built with that noise.
-_NOISE_PASSES = 3
+# How often at most the profile is built with the noise beside it and from where it is then, and by
+# how much its evidence changes where that need not be repeated [nats].
+_PASSES, _SETTLED = 5, 1.0
 # What a rod has beside its law is about as large as this share of what it has by it, or any other
 # size: a half-Cauchy prior, on so many sizes in units of the latter.
 _SHARE = 0.5
 _SIZES = np.geomspace(0.01, 10.0, 19)
+# Correlation lengths, over the free length.
+_SMOOTH = np.array([0.12, 0.25, 0.5, 1.0])
 # Knots that the report of a law tells.
 _TOLD = np.arange(0, KNOTS, (KNOTS - 1) // 4)
 
@@ -89,39 +91,55 @@ def refined(
         kind = _kind_of(laboratory, effect)
         if kind is None or (there and not isinstance(effect, ProfileEffect)):
             continue
-        poor, rich = current, None
-        for _ in range(_NOISE_PASSES):
+        poor, rich, before = current, None, np.inf
+        for _ in range(_PASSES):
             rich, evidence, ahead = _with_profile(laboratory, rich or poor, place, kind)
             if rich is None:
                 break
             noise, rates = estimate(laboratory, rich.model, rich.values)
-            if noise.near(laboratory.noise):
+            if noise.near(laboratory.noise) and abs(evidence - before) < _SETTLED:
                 break
             laboratory.set_noise(noise, rates)
+            before = evidence
         if rich is not None and there:
             return _polished(laboratory, rich), held_out, {}
         if rich is not None:
             step, error = _weighed(laboratory, poor, rich, (evidence, ahead), place)
             rounds.append(step)
             if step.accepted:
+                # What mended the law's form is needed no more.
+                rich = pruned(laboratory, rich, [rich.model.effects[place]])
                 return _polished(laboratory, rich), (held_out[0], error), {}
             doubts[place] = rich
         laboratory.set_noise(*declared)
     return current, held_out, doubts
 
 
-def in_doubt(rich: Fit, place: int, effect: Effect, values, measurements) -> dict[str, Estimate]:
-    """What to report of an effect whose law along the rod may be another one.
+def in_doubt(fit: Fit, place: int, doubts: dict[int, Fit], measurements) -> dict[str, Estimate]:
+    """What to report of the effect at one place of a model, of which some may be profiles as well.
 
-    Its parameters are those of what the rod has at the ends, if they are as many as a straight
-    line's, or else of what comes nearest along the rod. Their errors are root mean squares about
-    the values, over all that the rod may have by the data; so are those of some places, about the
-    likeliest there.
+    Parameters of an effect whose law along the rod may be another one are those of what the rod has
+    at the ends, if they are as many as a straight line's, or else of what comes nearest along the
+    rod. Errors are root mean squares about the values, over all that the rod may have by the data;
+    so are those of some places, about the likeliest there.
 
     Args:
-        rich: a model with a profile about the effect, of `refined`.
-        values: (P,) the effect's parameters.
+        doubts: of `refined`.
     """
+    effect, own = fit.model.effects[place], fit.model.split(np.arange(len(fit.values)))[place]
+    values, covariance = fit.values[own], fit.covariance[np.ix_(own, own)]
+    if place in doubts:
+        return _told_in_doubt(effect, values, doubts[place], place, measurements)
+    for rich in doubts.values():
+        there = rich.model.split(np.arange(len(rich.values)))[place]
+        away = rich.values[there] - values
+        beside = rich.covariance[np.ix_(there, there)] + np.outer(away, away)
+        covariance = max(covariance, beside, key=np.trace)
+    return effect.describe(values, covariance, measurements)
+
+
+def _told_in_doubt(effect: Effect, values, rich: Fit, place: int, measurements):
+    """`in_doubt` of an effect that may be a profile, as in the model `rich`."""
     profile, own = rich.model.effects[place], rich.model.split(np.arange(len(rich.values)))[place]
     assert isinstance(profile, ProfileEffect)
     found, covariance = rich.values[own], rich.covariance[np.ix_(own, own)]
@@ -202,10 +220,18 @@ def _beside(laboratory: Laboratory, fit: Fit, place: int, kind: str) -> _Beside:
     return _Beside(kind, law, values, present, grams, projected, float(size))
 
 
+def _likenesses() -> list[np.ndarray]:
+    """(KNOTS, KNOTS) covariances of profiles 1 large, of each smoothness: Matern's with one
+    derivative, for rods have kinks that smoother ones would bend with errors that are too small."""
+    place = np.linspace(0.0, 1.0, KNOTS)
+    apart = np.sqrt(3.0) * np.abs(place[:, None] - place) / _SMOOTH[:, None, None]
+    return list((1.0 + apart) * np.exp(-apart))
+
+
 def _hypotheses(own: _Beside, gram, projected) -> tuple[np.ndarray, list[np.ndarray]]:
     """((H,) log of evidence times prior, over that of no profile; (KNOTS, KNOTS) prior covariances)
     of every size and smoothness."""
-    width, smooth = KINDS[own.kind].width, likenesses()
+    width, smooth = KINDS[own.kind].width, _likenesses()
     prior = _SIZES / (1.0 + (_SIZES / _SHARE) ** 2)
     prior = np.log(prior / prior.sum() / len(smooth))
     found, known = [], []

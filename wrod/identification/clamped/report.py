@@ -224,17 +224,13 @@ def _found(laboratory: Laboratory, fit: Fit, selection: Selection) -> tuple[Foun
         scored = [*steps, fit, *(alone.get(e.name, fit) for e in effects)]
         after = laboratory.scores([f.model for f in scored], [f.values for f in scored])
     found = []
-    for k, (effect, values) in enumerate(zip(effects, parts, strict=True)):
-        own = slice(ends[k] - len(values), ends[k])
-        parameters = effect.describe(values, fit.covariance[own, own], m)
-        if k in selection.doubts:
-            parameters = in_doubt(selection.doubts[k], k, effect, values, m)
+    for k, effect in enumerate(effects):
         found.append(
             FoundEffect(
                 effect.name,
                 effect.title,
                 effect.reference,
-                parameters,
+                in_doubt(fit, k, selection.doubts, m),
                 after[k],
                 {"after_mm_with_this_effect_alone": after[len(effects) + k]},
             )

@@ -137,12 +137,14 @@ def reordered(fit: Fit, places: Sequence[int]) -> Fit:
     )
 
 
-def pruned(laboratory, current: Fit) -> Fit:
-    """Drop what a later effect has made superfluous."""
+def pruned(laboratory, current: Fit, kept: Sequence[Effect] = ()) -> Fit:
+    """Drop what a later effect has made superfluous, but for those that are to be kept."""
     while len(current.model.effects) > 1:
         models, starts = [], []
         parts = current.model.split(current.values)
-        for place in range(len(parts)):
+        for place, one in enumerate(current.model.effects):
+            if one in kept:
+                continue
             rest = [e for i, e in enumerate(current.model.effects) if i != place]
             models.append(Model(tuple(rest)))
             starts.append(np.concatenate([p for i, p in enumerate(parts) if i != place]))
@@ -171,9 +173,13 @@ def leaner(laboratory, current: Fit, candidates, rounds: list[Round]) -> Fit:
         fits = best_of_each(_fit(laboratory, models, starts, None, rival=current.chi_squared))
         _join_last(rounds, current, fits)
         current = min([current, *fits], key=lambda f: f.bic)
-    fits = _special_cases(laboratory, current, candidates)
-    _join_last(rounds, current, fits)
-    return min([current, *fits], key=lambda f: f.bic)
+    while True:
+        fits = _special_cases(laboratory, current, candidates)
+        _join_last(rounds, current, fits)
+        best = min([current, *fits], key=lambda f: f.bic)
+        if best is current:
+            return current
+        current = best
 
 
 def _special_cases(laboratory, current: Fit, candidates) -> list[Fit]:
