@@ -18,8 +18,8 @@ GRASPS_PER_SECOND, SENSITIVITIES_COST, NODE_STEP = 2000.0, 3.0, 2.3e-5
 APPLICATION = {"S cable": 25.0, "U cable": 15.0, "trefoil": 8.0, "reef": 68.0}
 EQUILIBRIUM, BOUNDARY = 4e-3, 0.8
 IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
-# A plan that is corrected for its table, and a deployment that looks on and plans anew.
-CORRECTED_PLAN, LOOKING_ON = 15.0, 300.0
+# A plan of a random pattern, corrected for its table.
+CORRECTED_PLAN = 15.0
 # A recording of motion identified, a joint path with approach and retreat, a plan, a bend pulled.
 RECORDING, JOINT_PATH, PLAN, BEND = 7.0, 12.0, 0.5, 90.0
 # A row of `wrod bench newton` beside an edge in an iteration of Newton's cable; its scenes of

@@ -79,6 +79,7 @@ def command(
     """
     from wrod.bench import courses
     from wrod.bench.slippery import Shelf, some
+    from wrod.deployment.effort import looking_on
     from wrod.files import row_schemas
     from wrod.files.ledger import Ledger
     from wrod.rods.batch import resolve_device
@@ -101,8 +102,8 @@ def command(
         keys, lacking = [key for key in keys if key not in lacking], []
     jobs = [(shelf, key, how) for key in lacking]
     unplanned = sorted({job[1][:2] for job in jobs})
-    looking = sum(key[3] != "blind" for _, key, _ in jobs)
-    seconds = cost.CORRECTED_PLAN * len(unplanned) + cost.LOOKING_ON * looking
+    seconds = shelf.effort((*place, how["friction"]) for place in unplanned)
+    seconds += sum(looking_on(shelf.course(*key[:2])[0]) for _, key, _ in jobs if key[3] != "blind")
     cost.settle(
         cost.Cost(seconds / workers), f"{len(jobs)} deployments",
         "ask for fewer --seeds, --names or --effects",

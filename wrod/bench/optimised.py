@@ -32,6 +32,7 @@ def command(
     Each is done once before, so that kernels are there. Derivatives on a GPU are compared with
     those of a CPU.
     """
+    from wrod.deployment.effort import corrected
     from wrod.machine import machine_line
     from wrod.planning.remainder import prepare
     from wrod.rods.catalogue import rod
@@ -41,7 +42,8 @@ def command(
     courses = {
         name: prepare(read_pattern(name, patterns), material, None) for name in names.split(",")
     }
-    work = cost.Cost(cost.CORRECTED_PLAN * (2 * len(courses) + together))
+    each = (corrected(led, material, friction, device=device) for led in courses.values())
+    work = cost.Cost(2.0 * sum(each) + cost.CORRECTED_PLAN * together)
     what = f"{2 * len(courses) + together} corrected plans"
     cost.settle(work, what, "ask for fewer")
     say = (lambda text: None) if asked("json") else click.echo

@@ -129,7 +129,7 @@ def command(
 
     jobs = [(shelf, key, how) for key in ledger.lacking(keys)]
     longest = max(shelf.course(*cell[:2])[1].length for cell in cells)
-    campaign.settle(common, len(jobs), longest, _effort([key for _, key, *_ in jobs]))
+    campaign.settle(common, len(jobs), longest, _effort(shelf, [key for _, key, *_ in jobs]))
     shelf.stock([(*key[:3], _CORRECTED[key[3]]) for _, key, *_ in jobs if key[3] in _CORRECTED],
                 workers)  # fmt: skip
     begun = len(keys) - len(jobs)
@@ -149,12 +149,14 @@ def command(
     tell(figures, *told(table, groups))
 
 
-def _effort(keys: list[tuple]) -> float:
-    """Processor time of corrected plans, and of looking on [s]."""
+def _effort(shelf: Shelf, keys: list[tuple]) -> float:
+    """Time of corrected plans, and of looking on [s]."""
+    from wrod.deployment.effort import looking_on
+
     made = {(*key[:3], _CORRECTED.get(key[3])) for key in keys}
-    plans = sum(method in _OPTIMISED for *_, method in made)
-    looking = sum(key[3] == "feedback" for key in keys)
-    return cost.CORRECTED_PLAN * plans + cost.LOOKING_ON * looking
+    plans = [cell[:3] for cell in made if cell[3] in _OPTIMISED]
+    looks = [looking_on(shelf.course(*key[:2])[0]) for key in keys if key[3] == "feedback"]
+    return shelf.effort(plans) + sum(looks)
 
 
 def _disturbing(undisturbed: bool, disturbed: str | None) -> list[str]:
@@ -200,6 +202,16 @@ class Shelf:
         led, material = self.course(rod_name, name)
         s = np.linspace(0.0, led.length, 2000)
         return bool(np.abs(led.sample(s)[2]).max() * material.gravito_bending_length > _GENTLE)
+
+    def effort(self, cells: Iterable[tuple[str, str, float]]) -> float:
+        """Time that corrected plans of (rod, pattern, friction) take [s]."""
+        from wrod.deployment.effort import corrected
+
+        seconds = 0.0
+        for rod_name, name, friction in cells:
+            led, material = self.course(rod_name, name)
+            seconds += corrected(led, material, friction, device=self.device)
+        return seconds
 
     def place(self, rod_name: str, name: str, friction: float, method: str) -> Path:
         """Where the plan is kept; friction counts for those that are corrected alone."""

@@ -34,11 +34,9 @@ from wrod.commands.plan_summary import read_friction, read_range, summary
 from wrod.commands.robot_options import RobotRequest
 from wrod.commands.running import draw_beside
 from wrod.errors import PatternError
+from wrod.machine import usable_cores
 from wrod.options import gathered, option, refuse_idle_options
 from wrod.telling import json_option, tell
-
-# Length that is laid, and of the rod, [m] of the plan that `cost.CORRECTED_PLAN` is of.
-_CORRECTED = 0.54, 0.885
 
 
 @dataclass(frozen=True)
@@ -128,10 +126,13 @@ class _GraspRequest:
             compile_grasps_ahead(resolve_device(device))
         if friction is None or self.method in ("distilled", "intuitive"):  # corrected at once
             return
-        plans = count * (3 if ":" in (self.pace or "") else 1) * (2 if self.spin else 1)
-        laid = curve.length + curve.remainder_length
-        size = laid * rod.length / (_CORRECTED[0] * _CORRECTED[1])
-        work = cost.Cost(cost.CORRECTED_PLAN * plans * size)
+        from wrod.deployment.effort import corrected
+
+        where = resolve_device(device)
+        seconds = corrected(curve, rod, friction, pace=self.read()["pace"], device=where)
+        # Two rods are laid at a time, of which a core has one.
+        seconds /= min(usable_cores(), 2) if where == "cpu" else 1
+        work = cost.Cost(seconds * count * (2 if self.spin else 1))
         cost.settle(work, "the plan, corrected for its table")
 
     def expecting(self, curve, rod, trajectory, friction, device: str | None, beside: bool):

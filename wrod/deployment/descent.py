@@ -28,6 +28,7 @@ from wrod.deployment.spread import Spread
 from wrod.deployment.tangents import Directions, Laid
 from wrod.deployment.together import Asked, Course
 from wrod.deployment.way import Way
+from wrod.errors import PatternError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
@@ -82,6 +83,18 @@ class Limits(Protocol):
         """How far displacements (T, 3) [m] of its poses take the arm beyond its limits, in parts of
         these (m,), and the derivatives (m, T, 3) of that [1/m]; nothing where they do not."""
         ...
+
+
+def paces(pace: float | tuple[float, float]) -> np.ndarray:
+    """(n,) for which a plan is corrected [m/s]: one, or the ends of a range and their mean.
+
+    Raises:
+        PatternError: out of bounds.
+    """
+    values = np.unique(np.atleast_1d(np.asarray(pace, dtype=float)))
+    if not (np.isfinite(values).all() and values[0] >= 5e-4 and values[-1] <= 10.0):
+        raise PatternError(f"pace is {pace!r}; give a speed of the contact from 5e-4 to 10 m/s")
+    return values if len(values) == 1 else np.geomspace(values[0], values[-1], 3)
 
 
 def expected_error(told: dict) -> float:

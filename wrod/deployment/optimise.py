@@ -16,18 +16,23 @@ from typing import Any
 import numpy as np
 
 from wrod.deployment.corrections import Corrections
-from wrod.deployment.descent import Limits, Problem, Task, Tried, descend, expected_error
+from wrod.deployment.descent import (
+    Limits,
+    Problem,
+    Task,
+    Tried,
+    descend,
+    expected_error,
+    paces,
+)
 from wrod.deployment.expectation import PACE, is_better, rougher
-from wrod.deployment.spread import Spread
+from wrod.deployment.spread import Spread, samples_of
 from wrod.deployment.together import Course, follow
-from wrod.errors import PatternError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
-# Ranges of friction that call for more rods, by the largest over the least.
-_WIDE = 1.5
 # By which the sample has to lie better that nobody doubts it [m].
 _PLAIN = 1e-3
 
@@ -102,15 +107,11 @@ def optimise_rivals(
 ) -> Trajectory:
     """`optimise` of each of several patterns and their trajectories, such as a pattern with one
     remainder and with another; what is returned is the plan by which unseen rods lie best."""
-    values = np.unique(np.atleast_1d(np.asarray(pace, dtype=float)))
-    if not (np.isfinite(values).all() and values[0] >= 5e-4 and values[-1] <= 10.0):
-        raise PatternError(f"pace is {pace!r}; give a speed of the contact from 5e-4 to 10 m/s")
-    if len(values) > 1:
-        values = np.geomspace(values[0], values[-1], 3)
+    values = paces(pace)
     tasks = [
-        Task(pattern, rod, trajectory, friction, limits, float(v))
+        Task(pattern, rod, trajectory, friction, limits, v)
         for pattern, trajectory in rivals
-        for v in values
+        for v in values.tolist()
     ]
     how: dict[str, Any] = dict(samples=samples, hold=hold, device=device)
     made = optimise_each(tasks, judge=judge or len(tasks) > 1, **how)
@@ -161,7 +162,7 @@ def course(
     spread, trajectory = Spread.of(task.friction), task.trajectory
     lgb = task.rod.gravito_bending_length
     if samples is None:
-        samples = 4 if spread.friction[1] > _WIDE * spread.friction[0] else 2
+        samples = samples_of(spread)
     corrections = Corrections(task.pattern, trajectory, lgb, hold)
     problem = Problem(task, corrections, spread, samples, judge)
     states, ahead = yield from descend(problem, judge)

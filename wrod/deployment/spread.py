@@ -15,6 +15,8 @@ from wrod.solvers.contact import Friction
 
 # A single friction coefficient is taken to be known to this part.
 _UNCERTAIN = 0.1
+# Ranges of friction that call for more rods, by the largest over the least.
+_WIDE = 1.5
 # No table has a larger friction coefficient.
 _MOST = 100.0
 # Deviations of uniform variables, in those of normal ones whose middle 90 % they cover.
@@ -103,6 +105,11 @@ class Spread:
         """The part of its stretch with which a rod that hangs is shorter by so much [L_gb]."""
         hanging = (rod.length / rod.gravito_bending_length) ** 2 / (4.0 * rod.stretch_ratio)
         return max(1.0 - less / hanging, _LEAST_STRETCH)
+
+
+def samples_of(spread: Spread) -> int:
+    """Rods that are laid at a time to correct a plan."""
+    return 4 if spread.friction[1] > _WIDE * spread.friction[0] else 2
 
 
 def stretching(rod: RodModel | RodMaterial, part: float) -> RodModel | RodMaterial:
