@@ -156,39 +156,32 @@ def condense(
     matrix_out: wp.array3d(dtype=wp.float64),
     size_out: wp.array2d(dtype=wp.float64),
 ):
-    """S below its diagonal, filled up to whole tiles. Launched over (row, blocks of two pairs in
-    turns of `stride`)."""
+    """S below its diagonal, filled up to whole tiles. Launched over (row, entries in turns of
+    `stride`)."""
     r, begin = wp.tid()
     if tiles[r] == 0:
         return
-    n = count[r]
+    n = 3 * count[r]
     for e in range(begin, n * n, stride):
         p = e // n
         q = e % n
         if q <= p:
-            out = wp.mat33d()
-            if p == q:
-                out = wp.identity(3, dtype=wp.float64)
+            value = wp.where(p == q, ONE, ZERO)
             for x in range(2):
-                first = touching[r, p][x]
+                first = touching[r, p // 3][x]
                 s = segment_of[first]
                 for y in range(2):
-                    if segment_of[touching[r, q][y]] == s:
+                    if segment_of[touching[r, q // 3][y]] == s:
                         at = 4 * first - segment[s][0]
-                        for b in range(3):
-                            for d in range(3):
-                                out[b, d] = out[b, d] + weighed(
-                                    weight, z, r, 3 * NODES * (2 * p + x), b,
-                                    6 * q + 3 * y + d, at, segment[s][1],
-                                )  # fmt: skip
-            for b in range(3):
-                for d in range(3):
-                    matrix_out[r, 3 * p + b, 3 * q + d] = out[b, d]
-                if p == q:
-                    size_out[r, 3 * p + b] = out[b, b]
+                        row = 3 * NODES * (2 * (p // 3) + x)
+                        column = 6 * (q // 3) + 3 * y + q % 3
+                        value += weighed(weight, z, r, row, p % 3, column, at, segment[s][1])
+            matrix_out[r, p, q] = value
+            if p == q:
+                size_out[r, p] = value
     last = TILE_SIZE * tiles[r]
-    for e in range(begin, (last - 3 * n) * last, stride):
-        p = 3 * n + e // last
+    for e in range(begin, (last - n) * last, stride):
+        p = n + e // last
         q = e % last
         if q <= p:
             matrix_out[r, p, q] = wp.where(p == q, ONE, ZERO)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import warp as wp
+from wrod.kernels.lanes import lanes
+from wrod.kernels.linear import dense_lanes
 
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import full_hessian
@@ -85,6 +87,47 @@ def test_solutions_and_inertia(shift, device):
         assert negative == 0 and x == pytest.approx(exact.x.numpy()[0], abs=2e-3)
     else:
         assert negative > 0
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_dense_solutions_and_inertia(device):
+    """Of indefinite matrices of no tile, of one and of six, beside each other, against NumPy; what
+    is above the diagonal is never read."""
+    sizes, room = [0, 1, 6], 7 * dense_lanes.TILE
+    rng = np.random.default_rng(4)
+    given = np.full((3, room, room), np.nan)
+    scale, right = np.ones((3, room)), rng.normal(size=(3, 2, room))
+    whole = []
+    for r, tiles in enumerate(sizes):
+        n = tiles * dense_lanes.TILE
+        root = rng.normal(size=(n, n))
+        sign = np.where(np.arange(n) % 5 == 3, -1.0, 1.0)
+        whole.append(root @ root.T / max(n, 1) + 40.0 * np.diag(sign))
+        given[r, :n, :n] = np.where(np.tri(n) != 0, whole[r], np.nan)
+        scale[r, :n] = np.diag(whole[r])
+
+    def floats(values):
+        return wp.array(values, dtype=wp.float64, device=device)
+
+    count, arrived, negative = (
+        wp.array(n, dtype=wp.int32, device=device) for n in (sizes, [0] * 3, [0] * 3)
+    )
+    matrix, x = floats(given), floats(right)
+    panel, diagonal = (floats(np.full((3, n, dense_lanes.TILE), np.nan)) for n in (2 * room, room))
+    there = wp.get_device(device)
+    blocks = max(1, there.sm_count // 3) if there.is_cuda else 1
+    inputs, outputs = [count, floats(scale), blocks], [arrived, matrix, panel, negative, diagonal]
+    for kernel, dim, block, arguments in (
+        (dense_lanes.factorise, blocks, dense_lanes.BLOCK, [*inputs, *outputs]),
+        (dense_lanes.solve, 2, dense_lanes.SOLVE_BLOCK, [count, matrix, diagonal, x]),
+    ):
+        most = lanes(device, block)
+        wp.launch(kernel, (3, dim, most), arguments, device=device, block_dim=most)
+    for r, a in enumerate(whole):
+        n = len(a)
+        assert -negative.numpy()[r] == (np.linalg.eigvalsh(a) < 0).sum()
+        assert x.numpy()[r, :, :n] @ a == pytest.approx(right[r, :, :n], abs=1e-12)
+    assert negative.numpy()[2] < 0
 
 
 def collide(kind, friction, device):

@@ -46,7 +46,7 @@ class CondensedSystem(PairedSystem):
         self._weight = zeros(18 * pairs, dtype=wp.vec4d)
         self._column = zeros(6 * pairs, int(parts[:, 1].max()))
         self._matrix, self._size = zeros(unknowns, unknowns), zeros(unknowns)
-        self._panel, self._diagonal = zeros(unknowns, tile), zeros(unknowns, tile)
+        self._panel, self._diagonal = zeros(2 * unknowns, tile), zeros(unknowns, tile)
         self._t, self._push = zeros(columns, unknowns), wp.zeros_like(self.x)
         self._tiles, self._arrived = (zeros(dtype=wp.int32) for _ in range(2))
         self._turns = (_COLUMNS, _THREADS) if self._on_gpu else (1, 1)
@@ -117,7 +117,7 @@ class CondensedSystem(PairedSystem):
             (count,),
             [self._tiles, self._matrix, self._diagonal],
             [self._t],
-            dense_lanes.BLOCK,
+            dense_lanes.SOLVE_BLOCK,
         )
         self._spread(condensing.clear, (count, dofs), [self._tiles], [self._push])
         ends = 2 * self.touching.shape[1]
