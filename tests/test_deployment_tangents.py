@@ -10,6 +10,7 @@ from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Directions, lay
 from wrod.errors import RodError
+from wrod.rods.law import Softening
 from wrod.solvers.contact import Friction
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.32)
@@ -38,7 +39,7 @@ def columns(trajectory):
 def displaced(trial, directions, column, by, offset):
     """What the direction of that number leads to, without any derivative."""
     law, disturbance = trial.friction, trial.disturbance
-    law = Friction(law.static + by * directions.friction[column, 0])
+    law = replace(law, static=law.static + by * directions.friction[column, 0])
     stiffer = np.exp(by * directions.stiffness[column] / 3.0) - 1.0
     bent = by * directions.natural_curvature[column]
     disturbance = replace(disturbance, lgb_error=stiffer, natural_curvature=bent)
@@ -46,18 +47,16 @@ def displaced(trial, directions, column, by, offset):
     return replace(trial, friction=law, disturbance=disturbance), move
 
 
-# Sticking: all agree. Sliding at friction 0.16: so do they, as far as the step's tolerance allows.
-@pytest.mark.parametrize("friction, scheme", [(4.0, "bdf2"), (0.16, "euler")])
-def test_tangents_are_limits_of_differences(bend, friction, scheme):
-    pattern, trajectory = bend
-    trial = Trial(pattern, ROD, trajectory, Friction(friction))
+def check_tangents(pattern, rod, trajectory, friction, scheme):
+    """Every column of the derivatives against differences."""
+    trial = Trial(pattern, rod, trajectory, friction)
     directions = columns(trajectory)
     # Beside the plan, so that rotation vectors are not at their origin.
     offset = 0.002 * np.sin(20.0 * trajectory.arc_length)[:, None] * [1, 1, 1, 20, 20, 20]
     options = OPTIONS | {"discretisation": replace(MESH, tolerance=1e-9, scheme=scheme)}
     laid = lay([trial], [directions], [offset], **options)[0]
     assert not laid.diverged
-    assert (laid.slip.max() > 2e-3) == (friction < 0.2)
+    assert (laid.slip.max() > 2e-3) == (friction.static < 0.2)
     until = np.searchsorted(laid.arc_length, trajectory.arc_length[-1])
     # So small that no node changes between sticking and sliding on the way.
     size = 1e-7
@@ -76,6 +75,28 @@ def test_tangents_are_limits_of_differences(bend, friction, scheme):
         largest = np.abs(laid.tangent[column])[:until].max()
         assert largest > 0.0
         assert error < 5e-4 * largest + 1e-6, (column, error, largest)
+
+
+# Sticking: all agree. Sliding at friction 0.16: so do they, as far as the step's tolerance allows.
+@pytest.mark.parametrize("friction, scheme", [(4.0, "bdf2"), (0.16, "euler")])
+def test_tangents_are_limits_of_differences(bend, friction, scheme):
+    pattern, trajectory = bend
+    check_tangents(pattern, ROD, trajectory, Friction(friction), scheme)
+
+
+def test_so_they_are_of_a_rod_with_sides_that_softens_and_is_damped(bend):
+    """Its roll is held by torques that do not reach their bound, which tangents take as given."""
+    pattern, _ = bend
+    stiffness = ROD.bending_stiffness
+    rod = replace(
+        wrod.RodModel.of(ROD),
+        bending_stiffness=({"knots": [0.0, 0.32], "values": [1.3 * stiffness, 0.8 * stiffness]},
+                           0.8 * stiffness),
+        principal_angle=0.6, natural_curvature=(3.0, -2.0), natural_twist=2.0,
+        law=Softening(30.0, 0.5), internal_damping=0.05,
+    )  # fmt: skip
+    trajectory = wrod.plan(pattern, rod, "numeric", closure="min_friction", spacing=0.01, roll=0.3)
+    check_tangents(pattern, rod, trajectory, Friction(4.0, roll=1e4), "euler")
 
 
 def test_friction_by_place_is_a_limit_of_differences(bend):

@@ -49,7 +49,13 @@ def hung(edges: int):
     path = np.repeat(unit[:, :, None, :6], KEYS, axis=2)
     friction = np.zeros((1, COLUMNS, batch.node_count))
     dynamics.follower = tangents = Tangents(
-        batch, contact, path, friction, unit[..., 6], unit[..., 7], np.full((1, COLUMNS), -1.0)
+        batch,
+        contact,
+        path,
+        friction,
+        unit[..., 6],
+        np.stack([unit[..., 7], 0 * unit[..., 7]], axis=2),
+        np.full((1, COLUMNS), -1.0),
     )
     assert not dynamics.advance(20.0, 0.1).diverged.any()
     middle = 0.5 * ROD.length

@@ -35,11 +35,12 @@ def linearise_contact(
     memory_out: wp.array2d(dtype=wp.mat33d),
     sliding_memory_out: wp.array2d(dtype=wp.mat33d),
     roll_out: wp.array2d(dtype=wp.float64),
+    torque_out: wp.array2d(dtype=wp.float64),
 ):
     """Of each node: friction's derivative by the bristle, by the normal displacement, by the
     coefficient; the residual of contact; and what, of contact and of friction alone, depends on
-    where the node was before, as the normal force is viscous; and how stiffly its roll is held. The
-    bound of a roll that slides is taken as constant."""
+    where the node was before, as the normal force is viscous; and how stiffly and by which torque
+    its roll is held. The bound of a roll that slides is taken as constant."""
     r, i = wp.tid()
     if accepted[r] == 0:
         return
@@ -48,7 +49,7 @@ def linearise_contact(
     by_coefficient = wp.vec3d()
     push = wp.vec3d()
     memory = wp.mat33d()
-    roll = wp.float64(0.0)
+    roll = wp.vec2d(ZERO, ZERO)
     sliding_memory = wp.mat33d()
     c = touch(model, dof, dof_before, bristle[r, 0, i], r, 0, i)
     if c.force > ZERO:
@@ -75,11 +76,12 @@ def linearise_contact(
             arm = model.radius[r, i]
             turn = node_turn(dof, dof_before, turned[r, 0, i], r, i)
             limit = model.roll_friction[r, 0] * law[0] * arm
-            roll = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)[1]
+            roll = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)
     friction_out[r, i] = friction
     coupling_out[r, i] = coupling
     by_coefficient_out[r, i] = by_coefficient
     push_out[r, i] = push
     memory_out[r, i] = memory + sliding_memory
     sliding_memory_out[r, i] = sliding_memory
-    roll_out[r, i] = roll
+    roll_out[r, i] = roll[1]
+    torque_out[r, i] = roll[0]

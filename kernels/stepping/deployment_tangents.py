@@ -19,12 +19,18 @@ from functools import cache
 from typing import Any
 
 import warp as wp
-from wrod.kernels.elastic.curvature import add_component_rate, component, stencil
-from wrod.kernels.elastic.frames import HALF, ONE, ZERO
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
 from wrod.kernels.linear.banded_lu import ALONE, substitute, substitute_lanes
+from wrod.kernels.stepping.flow_tangents import along, of_vector
 from wrod.kernels.stepping.grip import spline
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def share_of(i: int, nodes: int) -> wp.float64:
+    """Of what holds the roll of node i, on the angle of an edge beside it."""
+    return wp.where(i > 0 and i < nodes - 1, HALF, ONE)
 
 
 @wp.kernel
@@ -45,11 +51,11 @@ def elastic_forces(
     velocity_older: wp.array2d(dtype=wp.float64),
     residual: wp.array2d(dtype=wp.float64),
     push: wp.array2d(dtype=wp.vec3d),
+    torque: wp.array2d(dtype=wp.float64),
     # Out:
     elastic_out: wp.array2d(dtype=wp.float64),
-    natural_out: wp.array2d(dtype=wp.float64),
 ):
-    """Gradient of the elastic energy: what is left of a step's residual. Clears `natural_out`."""
+    """Gradient of the elastic energy: what is left of a step's residual."""
     r, a = wp.tid()
     if accepted[r] == 0:
         return
@@ -62,33 +68,10 @@ def elastic_forces(
     if k < 3:
         i = a / 4
         value += node_mass[r, i] * gravity[r][k] - push[r, i][k]
+    else:
+        for m in range(a / 4, a / 4 + 2):
+            value -= share_of(m, torque.shape[1]) * torque[r, m]
     elastic_out[r, a] = value
-    natural_out[r, a] = ZERO
-
-
-@wp.kernel
-def natural_forces(
-    # Model:
-    rest_length: wp.array2d(dtype=wp.float64),
-    bending_stiffness: wp.array2d(dtype=wp.vec2d),
-    # State in:
-    accepted: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    director: wp.array2d(dtype=wp.vec3d),
-    # In and out:
-    natural: wp.array2d(dtype=wp.float64),
-):
-    """Rate of the elastic gradient by the first natural curvature of the whole rod, of which the
-    grip's node has the share of its cell that is not beyond the grip."""
-    r, j = wp.tid()
-    if accepted[r] == 0:
-        return
-    i = j + 1
-    rate = -bending_stiffness[r, i][0]
-    if i == rest_length.shape[1] - 1:
-        rate *= rest_length[r, i - 1] / (rest_length[r, i - 1] + rest_length[r, i])
-    s = stencil(dof, director, r, i)
-    add_component_rate(natural, r, i, s, component(s, 0), rate)
 
 
 @wp.func
@@ -112,13 +95,55 @@ def turn_around(angles: wp.array3d(dtype=Any), r: int, p: int, i: int):
 
 
 @wp.kernel
+def measure_winding(
+    # State in:
+    accepted: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    tangent_before: wp.array2d(dtype=wp.vec3d),
+    tangent: wp.array2d(dtype=wp.vec3d),
+    elastic: wp.array2d(dtype=wp.float64),
+    # Out:
+    winding_out: wp.array2d(dtype=wp.vec3d),
+    torque_out: wp.array2d(dtype=wp.vec3d),
+):
+    """What an edge's turn over the step, between frames carried from its start to its end, gains
+    where both lie otherwise: by their vectors' displacements, as twist does between two edges; and
+    the torque on it from outside, for what its stiffness lacks of symmetry (see
+    `kernels.grasping.grip_torque`)."""
+    r, e = wp.tid()
+    if accepted[r] != 0:
+        t = tangent_before[r, e]
+        u = tangent[r, e]
+        length = wp.length(edge(dof, r, e))
+        winding_out[r, e] = wp.cross(t, u) / ((ONE + wp.dot(t, u)) * length)
+        torque_out[r, e] = (HALF * elastic[r, 4 * e + 3] / (length * length)) * u
+
+
+@wp.func
+def wound(winding: wp.array2d(dtype=wp.vec3d), x: wp.array3d(dtype=Any), r: int, p: int, i: int):
+    """The mean over the edges around node i."""
+    last = winding.shape[1] - 1
+    e = wp.max(i - 1, 0)
+    f = wp.min(i, last)
+    return HALF * (along(winding[r, e], x, r, p, e) + along(winding[r, f], x, r, p, f))
+
+
+@wp.func
+def leaning(torque: wp.vec3d, k: int) -> wp.vec3d:
+    """Row k of [torque]."""
+    row = wp.vec3d()
+    row[(k + 1) % 3] = -torque[(k + 2) % 3]
+    row[(k + 2) % 3] = torque[(k + 1) % 3]
+    return row
+
+
+@wp.kernel
 def load_tangents(
     # Model:
     mass: wp.array2d(dtype=wp.float64),
     air_damping: wp.array(dtype=wp.float64),
     friction_rate: wp.array3d(dtype=Any),
     stiffness_rate: wp.array2d(dtype=Any),
-    natural_rate: wp.array2d(dtype=Any),
     roll: wp.array2d(dtype=wp.float64),
     begin: wp.array2d(dtype=wp.float64),
     # State in:
@@ -132,7 +157,8 @@ def load_tangents(
     push: wp.array2d(dtype=wp.vec3d),
     memory: wp.array2d(dtype=wp.mat33d),
     elastic: wp.array2d(dtype=wp.float64),
-    natural: wp.array2d(dtype=wp.float64),
+    winding: wp.array2d(dtype=wp.vec3d),
+    torque: wp.array2d(dtype=wp.vec3d),
     now: wp.array3d(dtype=Any),
     older: wp.array3d(dtype=Any),
     velocity: wp.array3d(dtype=Any),
@@ -157,19 +183,25 @@ def load_tangents(
                 v = (c[1] * now[r, p, a] + c[2] * older[r, p, a]) / dt
                 rate = (c[0] * v + c[1] * velocity[r, p, a] + c[2] * velocity_older[r, p, a]) / dt
                 x = -mass[r, a] * (rate + air_damping[r] * v)
-                x -= elastic[r, a] * stiffness_rate[r, p] + natural[r, a] * natural_rate[r, p]
+                x -= elastic[r, a] * stiffness_rate[r, p]
                 if k < 3 and push[r, i][2] != ZERO:
                     x -= by_coefficient[r, i][k] * friction_rate[r, p, i]
                     for m in range(3):
                         held = friction[r, i][k, m]
                         x -= held * (bristle[r, p, 3 * i + m] - now[r, p, 4 * i + m])
                         x -= memory[r, i][k, m] * now[r, p, 4 * i + m]
+                if k < 3:
+                    if i > 0:
+                        x -= along(leaning(torque[r, i - 1], k), now, r, p, i - 1)
+                    if i < torque.shape[1]:
+                        x += along(leaning(torque[r, i], k), now, r, p, i)
                 if k == 3:
                     for m in range(i, i + 2):
                         if roll[r, m] > ZERO:
-                            inside = m > 0 and m < mass.shape[1] / 4
-                            share = wp.where(inside, HALF, ONE) * roll[r, m]
-                            x -= share * (turned[r, p, m] - turn_around(now, r, p, m))
+                            share = share_of(m, roll.shape[1]) * roll[r, m]
+                            turn = turned[r, p, m] - turn_around(now, r, p, m)
+                            # The end's displacements are nearly those of the start.
+                            x -= share * (turn + TWO * wound(winding, now, r, p, m))
             x_out[r, p, a] = x
 
 
@@ -265,6 +297,7 @@ def carry_bristles(
     push: wp.array2d(dtype=wp.vec3d),
     sliding_memory: wp.array2d(dtype=wp.mat33d),
     roll: wp.array2d(dtype=wp.float64),
+    winding: wp.array2d(dtype=wp.vec3d),
     x: wp.array3d(dtype=Any),
     now: wp.array3d(dtype=Any),
     # State in and out:
@@ -300,6 +333,7 @@ def carry_bristles(
     turn = type(x[r, p, 0])()
     if roll[r, i] > ZERO:
         turn = turned[r, p, i] + turn_around(x, r, p, i) - turn_around(now, r, p, i)
+        turn += wound(winding, now, r, p, i) + wound(winding, x, r, p, i)
     turned[r, p, i] = turn
     bristle[r, p, 3 * i] = b0
     bristle[r, p, 3 * i + 1] = b1
@@ -348,4 +382,5 @@ def vector_of(size: int) -> type:
     for kernel in (load_tangents, load_grip, solve_tangents, carry_bristles, advance_tangents):
         known = kernel.adj.arg_types.values()
         wp.overload(kernel, [_of(dtype, t) for t in known])
+    of_vector(dtype)
     return dtype

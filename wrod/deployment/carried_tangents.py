@@ -7,6 +7,7 @@ from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.kernels.lanes import lanes
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import deployment_tangents as kernels
+from wrod.kernels.stepping import flow_tangents
 from wrod.rods.batch import RodBatch
 from wrod.solvers.contact import Contact
 from wrod.solvers.newton_steps import NewtonSteps
@@ -24,7 +25,8 @@ class Tangents:
         path: (rod, column, key, 6) rates of the grip's position [m] and rotation vector [rad]; of
             one rod: the same for all.
         friction: (rod, column, node) of the coefficient where a node lies, see `Directions`.
-        stiffness, natural_curvature: (rod, column), likewise.
+        stiffness: (rod, column), likewise.
+        natural_curvature: (rod, column, 2), towards the principal directions.
         begin: (rod, column) time before which a column is nothing [s].
     """
 
@@ -82,14 +84,18 @@ class Tangents:
         self.friction, self.coupling = per_node(wp.mat33d), per_node(wp.mat33d)
         self.by_coefficient, self.push = per_node(wp.vec3d), per_node(wp.vec3d)
         self.memory, self.sliding_memory = per_node(wp.mat33d), per_node(wp.mat33d)
-        self.elastic, self.natural = (
-            wp.zeros((rods, dofs), dtype=wp.float64, device=device) for _ in range(2)
-        )
+        self.elastic = wp.zeros((rods, dofs), dtype=wp.float64, device=device)
+        self.bends = bool(natural_curvature.any())
+        self.strain, self.strain_older = zeros(4 * nodes), zeros(4 * nodes)
+        self.unstrained = per_node(wp.vec4d)
         self.matrix = banded_lu.NodeCoupled()
         self.matrix.hessian, self.matrix.coupling = batch.derivatives.hessian, self.coupling
         self.factor = wp.zeros((rods, dofs, banded_lu.BAND), dtype=wp.float64, device=device)
-        self.roll = per_node(wp.float64)
+        self.roll, self.torque = per_node(wp.float64), per_node(wp.float64)
         self.turned = zeros(nodes)
+        self.winding, self.turning = (
+            wp.zeros((rods, nodes - 1), dtype=wp.vec3d, device=device) for _ in range(2)
+        )
         self.packs = packs
 
     def follow(self, dynamics: NewtonSteps) -> None:
@@ -102,21 +108,22 @@ class Tangents:
             batch.launch(kernel, dim, inputs, outputs)
 
         about_contact = [self.friction, self.coupling, self.by_coefficient, self.push]
-        memory = [self.memory, self.sliding_memory, self.roll]
+        memory = [self.memory, self.sliding_memory, self.roll, self.torque]
         self.contact.linearise(accepted, state.dof, start.dof, about_contact + memory)
         launch(
             kernels.elastic_forces,
             (rods, dofs),
             [dynamics.mass, dynamics.air_damping, batch.node_mass, batch.gravity, accepted]
             + [dynamics.step, dynamics.coefficient, state.dof, start.dof, dynamics.dof_older]
-            + [dynamics.velocity, dynamics.velocity_older, out.gradient, self.push],
-            [self.elastic, self.natural],
+            + [dynamics.velocity, dynamics.velocity_older, out.gradient, self.push]
+            + [self.torque],
+            [self.elastic],
         )
         launch(
-            kernels.natural_forces,
-            (rods, batch.node_count - 2),
-            [batch.rest_length, batch.bending_stiffness, accepted, state.dof, state.director],
-            [self.natural],
+            kernels.measure_winding,
+            (rods, batch.node_count - 1),
+            [accepted, state.dof, start.tangent, state.tangent, self.elastic],
+            [self.winding, self.turning],
         )
         launch(
             banded_lu.assemble,
@@ -130,11 +137,20 @@ class Tangents:
             kernels.load_tangents,
             (rods, self.packs, batch.node_count),
             [dynamics.mass, dynamics.air_damping, self.friction_rate, self.stiffness_rate]
-            + [self.natural_rate, self.roll, self.begin, accepted, batch.free, dynamics.time]
+            + [self.roll, self.begin, accepted, batch.free, dynamics.time]
             + [dynamics.step, dynamics.coefficient, self.friction, self.by_coefficient, self.push]
-            + [self.memory, self.elastic, self.natural, *tangents, self.bristle, self.turned],
+            + [
+                self.memory,
+                self.elastic,
+                self.winding,
+                self.turning,
+                *tangents,
+                self.bristle,
+                self.turned,
+            ],
             [self.x],
         )
+        self._load_flow(dynamics)
         launch(
             kernels.load_grip,
             (rods, self.packs),
@@ -143,11 +159,13 @@ class Tangents:
             [self.x],
         )
         self._solve([self.begin, accepted, dynamics.time, self.factor])
+        self._measure_flow(dynamics)
         launch(
             kernels.carry_bristles,
             (rods, self.packs, batch.node_count),
             [self.contact.tangent_stiffness, self.friction_rate, self.begin, accepted]
-            + [dynamics.time, *about_contact, self.sliding_memory, self.roll, self.x, self.now],
+            + [dynamics.time, *about_contact, self.sliding_memory, self.roll]
+            + [self.winding, self.x, self.now],
             [self.bristle, self.turned],
         )
         launch(
@@ -156,6 +174,35 @@ class Tangents:
             [self.begin, accepted, dynamics.time, dynamics.step, dynamics.coefficient, self.x],
             tangents,
         )
+
+    def _load_flow(self, dynamics: NewtonSteps) -> None:
+        viscosity, batch = dynamics.viscosity, self.batch
+        if not (self.bends or viscosity.exists):
+            return
+        state, begun = batch.state, [self.begin, dynamics.accepted]
+        rest, stretching, bending, _, natural, softening, twisting, _ = batch.elastic_model
+        past = [self.unstrained] * 2
+        if viscosity.exists:
+            past = [viscosity.strain, viscosity.strain_older]
+        batch.launch(
+            flow_tangents.load_flow,
+            (batch.rod_count, self.packs, batch.node_count - 1),
+            [rest, stretching, bending, natural, softening, twisting, viscosity.time]
+            + [self.natural_rate, *begun, batch.free, dynamics.time, dynamics.step]
+            + [dynamics.coefficient, state.dof, state.director, state.reference_twist, *past]
+            + [self.strain, self.strain_older],
+            [self.x],
+        )
+
+    def _measure_flow(self, dynamics: NewtonSteps) -> None:
+        if dynamics.viscosity.exists:
+            state = self.batch.state
+            self.batch.launch(
+                flow_tangents.measure_strain_rates,
+                (self.batch.rod_count, self.packs, self.batch.node_count),
+                [self.begin, dynamics.accepted, dynamics.time, state.dof, state.director, self.x],
+                [self.strain, self.strain_older],
+            )
 
     def _solve(self, inputs: list) -> None:
         """Of the two kernels a CPU takes the first, one thread a pack, a GPU the second."""

@@ -20,6 +20,7 @@ from wrod.deployment.simulate import nodes_needed, prepare_trials, with_remainde
 from wrod.deployment.trial import Trial
 from wrod.errors import RodError
 from wrod.rods.device import resolve_device
+from wrod.rods.discretisation import in_principal
 from wrod.rods.model import RodModel
 from wrod.rods.rotation import left_jacobian
 from wrod.solvers.contact import FrictionField
@@ -232,8 +233,8 @@ def _check(trials: list[Trial], directions: list[Directions], scheme: str) -> No
 
 def _columns(trials, setups, directions: list[Directions], moves: list[np.ndarray]):
     """(rod, column, key, 6) rates of the grip, of one rod where all are alike, (rod, column, node)
-    of friction, two (rod, column) of what the rod is, and (rod, column) when each column begins
-    [s]."""
+    of friction, (rod, column) of the stiffness, (rod, column, 2) of the natural curvature, and
+    (rod, column) when each column begins [s]."""
     found: dict[tuple, np.ndarray] = {}
     paths = []
     for trial, setup, columns, move in zip(trials, setups, directions, moves, strict=True):
@@ -253,14 +254,18 @@ def _columns(trials, setups, directions: list[Directions], moves: list[np.ndarra
     path = np.stack(
         [np.pad(r, ((0, 0), (0, keys - r.shape[1]), (0, 0)), mode="edge") for r in paths]
     )
-    rod = [
+    stiffness, left = (
         np.stack([getattr(d, n) for d in directions]) for n in ("stiffness", "natural_curvature")
-    ]
+    )
+    held = [RodModel.of(t.rod).turned(t.trajectory.roll).principal_angle for t in trials]
+    bends = (
+        left[:, :, None] * np.stack([in_principal(np.array([1.0, 0.0]), a) for a in held])[:, None]
+    )
     friction = np.stack([_under(*each) for each in zip(trials, setups, directions, strict=True)])
     moves = np.abs(path).max(axis=3) > 0.0
     first = np.where(moves.any(axis=2), moves.argmax(axis=2) - 2, keys)
-    always = np.any([*(rates != 0.0 for rates in rod), friction.any(axis=2)], axis=0)
-    return path, friction, *rod, KEY_INTERVAL * np.where(always, -2, first)
+    always = (stiffness != 0.0) | (left != 0.0) | friction.any(axis=2)
+    return path, friction, stiffness, bends, KEY_INTERVAL * np.where(always, -2, first)
 
 
 def _under(trial: Trial, setup: Setup, columns: Directions) -> np.ndarray:
