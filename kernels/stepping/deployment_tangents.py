@@ -191,9 +191,9 @@ def load_tangents(
                         x -= held * (bristle[r, p, 3 * i + m] - now[r, p, 4 * i + m])
                         x -= memory[r, i][k, m] * now[r, p, 4 * i + m]
                 if k < 3:
-                    if i > 0:
+                    if i > 0 and wp.length_sq(torque[r, i - 1]) > ZERO:
                         x -= along(leaning(torque[r, i - 1], k), now, r, p, i - 1)
-                    if i < torque.shape[1]:
+                    if i < torque.shape[1] and wp.length_sq(torque[r, i]) > ZERO:
                         x += along(leaning(torque[r, i], k), now, r, p, i)
                 if k == 3:
                     for m in range(i, i + 2):

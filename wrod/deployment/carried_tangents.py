@@ -119,12 +119,13 @@ class Tangents:
             + [self.torque],
             [self.elastic],
         )
-        launch(
-            kernels.measure_winding,
-            (rods, batch.node_count - 1),
-            [accepted, state.dof, start.tangent, state.tangent, self.elastic],
-            [self.winding, self.turning],
-        )
+        if self.contact.holds_roll:
+            launch(
+                kernels.measure_winding,
+                (rods, batch.node_count - 1),
+                [accepted, state.dof, start.tangent, state.tangent, self.elastic],
+                [self.winding, self.turning],
+            )
         launch(
             banded_lu.assemble,
             (rods, dofs),

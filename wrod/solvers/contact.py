@@ -86,6 +86,7 @@ class Contact(OnDevice):
             it, without one rates are 0.
         force: (rod, node) force on each node at the end of the last step.
         slip: (rod, node) distance that each node has slid in all [length].
+        holds_roll: whether the roll of any rod is kept.
 
     Raises:
         RodError: radius or stiffness is not positive and finite, a shape has no size, or friction
@@ -221,7 +222,7 @@ class Contact(OnDevice):
     def _kept(self, roll: np.ndarray, rolling: np.ndarray) -> np.ndarray:
         """(rod, shape) coefficients that keep the roll; -1 of rods that roll."""
         kept = np.broadcast_to(self.keeps_roll, rolling.shape) & (rolling == 0)
-        self._keeps = bool(kept.any())
+        self.holds_roll = bool(kept.any())
         return np.where(kept[:, None], roll, -1.0)
 
     @property
@@ -290,7 +291,7 @@ class Contact(OnDevice):
         )
         if self._has_fixtures:
             self._edges.add(self.time_step, active, dof, dof_before)
-        if self._keeps:
+        if self.holds_roll:
             self.batch.launch(
                 rolls.hold_roll,
                 (self.batch.rod_count, self.batch.node_count),
@@ -366,7 +367,7 @@ class Contact(OnDevice):
         nodes, inputs = self.slip.shape, [self._model, self.time_step, accepted, dof, dof_before]
         carried = [self._bristle, self._sliding, self.slip, self.force]
         self.batch.launch(kernels.settle_friction, nodes, inputs, carried)
-        if self._keeps:
+        if self.holds_roll:
             self.batch.launch(rolls.settle_roll, nodes, inputs, [self._turned])
         if self._has_fixtures:
             self._edges.settle(self.time_step, accepted, dof, dof_before, self.slip, self.force)
