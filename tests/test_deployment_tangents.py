@@ -10,7 +10,7 @@ from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Directions, lay
 from wrod.errors import RodError
-from wrod.rods.law import Softening
+from wrod.rods.law import Softening, StandardLinearSolid
 from wrod.solvers.contact import Friction
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.32)
@@ -154,6 +154,9 @@ def test_what_a_tangent_cannot_know_is_refused(bend):
     with pytest.raises(RodError, match="midpoint"):
         mesh = replace(MESH, scheme="midpoint")
         lay([still], [columns(trajectory)], discretisation=mesh)
+    with pytest.raises(RodError, match="remembers how it was bent"):
+        wire = replace(wrod.RodModel.of(ROD), law=StandardLinearSolid(0.5, 0.3))
+        lay([replace(still, rod=wire)], [columns(trajectory)], **OPTIONS)
 
 
 def test_torch_gradients_are_limits_of_differences(bend):

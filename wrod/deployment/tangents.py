@@ -114,9 +114,10 @@ def lay(
     """Lay rods until the end of their patterns, with the derivatives of what lies.
 
     The derivatives are those of the steps that are taken: every tangent solves the linearised step
-    with its exact Jacobian, contact, stick and slip included. The grip's time law and the time
-    steps count as given. Where a node passes from sticking to sliding, the laid curve has a kink in
-    its parameters, and the derivative is that of the side on which the deployment went.
+    with its exact Jacobian, contact, stick and slip included. The grip's time law, the time steps
+    and torques at which a roll slides count as given. Where a node passes from sticking to sliding,
+    the laid curve has a kink in its parameters, and the derivative is that of the side on which the
+    deployment went.
 
     Args:
         trials: what to lay, without fixtures.
@@ -129,8 +130,9 @@ def lay(
         watch: called now and then with the (rod,) times [s]; what it raises ends the laying.
 
     Raises:
-        RodError: a trial has fixtures or lets the rod roll, or the scheme is "midpoint", while
-            derivatives are wanted, or the directions do not match the trials.
+        RodError: a trial has fixtures or lets the rod roll, the rod remembers how it was bent or
+            drags the air quadratically, or the scheme is "midpoint", while derivatives are wanted;
+            or the directions do not match the trials.
     """
     device = resolve_device(device)
     if directions is not None:
@@ -223,6 +225,13 @@ def _check(trials: list[Trial], directions: list[Directions], scheme: str) -> No
             raise RodError(
                 "derivatives of a deployment know drag that grows with the velocity alone; give a "
                 "rod without quadratic_drag, which slow deployments do not feel"
+            )
+        law = RodModel.of(trial.rod).law
+        if law.remembers:
+            raise RodError(
+                f"derivatives of a deployment know no rod that remembers how it was bent, as one "
+                f"with the law {law.name} does; give one with another law of wrod.rods.law, "
+                "Linear() for instance, and lay the rod itself"
             )
         if columns.path.shape[1] != len(trial.trajectory):
             raise RodError(
