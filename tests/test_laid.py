@@ -74,10 +74,13 @@ def test_reads_scans_deployments_and_points(tmp_path, plan):
     line = offset(pattern, left=0.001)
     np.savez(tmp_path / "scan.npz", path_m=line[:, :2])
     np.savetxt(tmp_path / "points.csv", 100 * line[:, :2], delimiter=",")
-    np.savez(tmp_path / "deployment.npz", centerline=line, arc_length=np.arange(len(line)))
+    held = offset(pattern, left=0.003)
+    np.savez(tmp_path / "deployment.npz", centerline=held, released_centerline=line)
     names = [tmp_path / "scan.npz", tmp_path / "deployment.npz"]
     laid = load_laid(names, pattern, noise=NOISE)
     points = load_laid([tmp_path / "points.csv"], pattern, units="cm", noise=NOISE)
+    holding = load_laid(names[1:], pattern, noise=NOISE, released=False)
+    assert np.abs(holding.curves[0][0] - held[0, :2]).max() < 1e-6
     for curve in (*laid.curves, *points.curves):
         assert np.abs(curve[[0, -1]] - line[[0, -1], :2]).max() < 1e-6
 
@@ -97,7 +100,9 @@ def test_bad_centrelines_are_named(tmp_path, plan):
     ):
         with pytest.raises(DataError, match=f"centreline 0: .*{says}"):
             load_laid([source], pattern, noise=NOISE)
-    with pytest.raises(DataError, match=r"load_laid: sources is .* must have \(n, 2\) or \(n, 3\)"):
+    with pytest.raises(
+        DataError, match=r"load_laid: sources is .* shape \(n, 2\) or \(n, 3\), not"
+    ):
         load_laid([line[:, 0]], pattern, noise=NOISE)
     with pytest.raises(DataError, match="does not show its noise"):
         load_laid([line], pattern)

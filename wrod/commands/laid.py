@@ -106,7 +106,7 @@ def command(
     if fit.iterations > 0:
         refuse_another_rod(path, rod_options.read(), ("length", "radius"))
     curve = with_remainder_of(reading.read(pattern), path)
-    laid = load_laid(list(rods), curve, units=reading.units, noise=noise)
+    laid = load_laid(list(rods), curve, units=reading.units, noise=noise, released=not fit.holding)
     along, left = 1e3 * laid.residual().mean(axis=0).T
     figures = {
         "rods": [str(rod) for rod in rods],

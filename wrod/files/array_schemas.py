@@ -284,7 +284,10 @@ ARRAYS = {
     "LaidRod": ArrayFile(
         "The part of a deployment that `wrod laid` reads.",
         "the .npz of a deployment that `wrod deploy` wrote",
-        {"centerline": Field(("N", "2 or 3"), "m")},
+        {
+            "centerline": Field(("N", "2 or 3"), "m", about="the grip holding (`--holding`)"),
+            "released_centerline": _optional("N", "2 or 3", unit="m", about="the grip gone"),
+        },
         least={"N": 3},
         axes={"N": "point"},
     ),

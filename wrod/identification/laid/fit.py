@@ -185,9 +185,10 @@ def fit_laid(
                 laying.runs = (1 + len(active)) * iterations + 1
         matrix = _step(measurements, values, active, rates, off)
     after = measurements.rms(laying.predict([values])[0])
-    estimates, correlation = _estimates(values, active, np.linalg.inv(matrix))
-    count = len(measurements.curves)
-    floor = measurements.noise_floor
+    count, floor = len(measurements.curves), measurements.noise_floor
+    # Of what the model leaves wrong the parameters bear their part (Birge's ratio).
+    covariance = np.linalg.inv(matrix) * max(1.0, after / floor) ** 2
+    estimates, correlation = _estimates(values, active, covariance)
     verdict, reason = _verdict(before, after, floor, count, estimates, correlation)
     if verdict == "adequate":
         # The friction is asked for, whether or not the believed one would do.

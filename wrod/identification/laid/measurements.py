@@ -88,6 +88,7 @@ class LaidMeasurements:
         arguments.either(arguments.path, arguments.array((None, 2), (None, 3), finite=False))
     ),
     noise=arguments.optional(arguments.number(0.0, 100.0)),
+    released=arguments.flag,
 )
 def load_laid(
     sources: Sequence[str | os.PathLike[str] | np.ndarray],
@@ -95,6 +96,7 @@ def load_laid(
     *,
     units: str | None = None,
     noise: float | None = None,
+    released: bool = True,
 ) -> LaidMeasurements:
     """Read laid centrelines and check them against their pattern.
 
@@ -105,6 +107,7 @@ def load_laid(
         units: of files of points that do not say theirs.
         noise: standard deviation of a coordinate of a smoothed centreline [m]; default: from the
             scatter of the rods about their mean.
+        released: of a deployment, the rod after the grip let go, or with it still holding.
 
     Raises:
         DataError: a source is unreadable, not in metres beside the pattern, or too short; or the
@@ -117,7 +120,7 @@ def load_laid(
         if isinstance(source, np.ndarray):
             name, curve = f"centreline {k}", np.asarray(source, dtype=float)
         else:
-            name, curve = str(source), _read(Path(source), units)
+            name, curve = str(source), _read(Path(source), units, released)
         curves.append(_smooth(_checked(curve, pattern, name)))
         names.append(name)
     measured = LaidMeasurements(pattern, tuple(curves), tuple(names), 1.0)
@@ -135,10 +138,12 @@ def load_laid(
     return LaidMeasurements(pattern, tuple(curves), tuple(names), float(noise))
 
 
-def _read(path: Path, units: str | None) -> np.ndarray:
+def _read(path: Path, units: str | None, released: bool) -> np.ndarray:
     if path.suffix.lower() == ".npz":
         found = read_arrays(path, "a scan, a deployment or points (.npz)")
-        for key, kind in (("path_m", "Scan"), ("centerline", "LaidRod")):
+        line = "released_centerline" if released else "centerline"
+        line = line if line in found else "centerline"
+        for key, kind in (("path_m", "Scan"), (line, "LaidRod")):
             if key in found:
                 return check_arrays(found, kind, str(path))[key]
         if "paths" in found:
