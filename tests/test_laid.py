@@ -1,6 +1,7 @@
 """Laid centrelines as measurements: read, checked, and explained."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,9 +9,11 @@ from cli import refused, told
 from test_deployment import QUICK, ROD, quarter_turn
 
 import wrod
+from wrod.commands.laid import _said
 from wrod.commands.plan_summary import read_friction
 from wrod.deployment.table import TableFriction
 from wrod.errors import DataError
+from wrod.identification.effect import Estimate
 from wrod.identification.laid.fit import fit_laid, with_parameters
 from wrod.identification.laid.measurements import load_laid
 
@@ -172,6 +175,16 @@ def test_laid_command(plan, tmp_path):
     args[1] = str(tmp_path / "none")
     found = refused("none: no such file", *args[:-2], *rod)
     assert found.stderr.count("\n") == 1  # nothing is said of work that is not begun
+
+
+def test_what_was_fitted_is_said_as_a_quantity():
+    lgb = SimpleNamespace(rod=replace(ROD, gravito_bending_length=0.03676), friction=0.4)
+    assert _said("log_L_gb", Estimate(0.1374, 6.4e-4, ""), lgb) == (
+        "  L_gb: 3.676 cm, +14.73 ± 0.073 % beside the given one"
+    )
+    assert _said("natural_curvature", Estimate(2.0, 0.1, "1/m"), lgb) == (
+        "  natural_curvature: 2 ± 0.1 1/m"
+    )
 
 
 def test_friction_of_the_table_is_found(plan):

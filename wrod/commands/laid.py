@@ -1,5 +1,6 @@
 """`wrod laid RODS... --pattern P`: what rods on the table say of the model that laid them."""
 
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -138,5 +139,17 @@ def command(
     ]
     if fit.iterations > 0:
         lines.append(f"{found.verdict}: {found.reason}")
-        lines += [f"  {name}: {value}" for name, value in found.estimates.items()]
+        lines += [_said(name, value, found) for name, value in found.estimates.items()]
     tell(figures, *lines)
+
+
+def _said(name: str, estimate, found) -> str:
+    """A parameter in words; of a logarithm the quantity, and how far it is from the given one."""
+    if not name.startswith("log_"):
+        return f"  {name}: {estimate}"
+    size = f"{found.friction:.3f}"
+    if name == "log_L_gb":
+        size = f"{100 * found.rod.gravito_bending_length:.3f} cm"
+    low, high = (100 * math.expm1(estimate.value + k * estimate.stderr) for k in (-1, 1))
+    change = f"{(low + high) / 2:+.2f} ± {(high - low) / 2:.2g} %"
+    return f"  {name.removeprefix('log_')}: {size}, {change} beside the given one"

@@ -250,7 +250,7 @@ def _verdict(before, after, floor, count, estimates, correlation) -> tuple[str, 
     if not clear or after > (1.0 - rule.takes) * before:
         return "unexplained", f"neither natural curvature nor L_gb explains the residual ({shares})"
     word = "explained" if rule.is_noise(after, floor) else "partly-explained"
-    said = " and ".join(clear)
+    said = " and ".join(name.removeprefix("log_") for name in clear)
     if abs(correlation) > CORRELATED:
         said += ", which these rods hardly tell apart"
     return word, f"{said} ({shares})"
