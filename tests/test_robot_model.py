@@ -222,6 +222,15 @@ def test_missing_file_link_and_name(tmp_path):
         load_robot("sawyer", gripper_length=0.01)
 
 
+def test_a_mesh_of_many_million_triangles_is_not_read(tmp_path):
+    from wrod.robot.mesh import read_mesh
+
+    with open(tmp_path / "a.stl", "wb") as file:
+        file.truncate(65 * 2**20)
+    with pytest.raises(RobotError, match=r"a.stl: has 65 MiB, and at most 64 MiB are read"):
+        read_mesh(tmp_path / "a.stl")
+
+
 def test_package_meshes_are_found_beside_the_urdf(tmp_path):
     folder = tmp_path / "own_description"
     folder.mkdir()

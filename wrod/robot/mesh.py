@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import RobotError
+from wrod.files.reading import MIB, checked_path
 
 FORMATS = (".stl", ".obj", ".dae", ".ply", ".glb", ".gltf", ".off", ".3mf")
+# Bytes of a mesh: a million triangles. Capsules about the links take a second of each such one.
+_LARGEST = 64 * MIB
 
 
 def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -18,14 +21,11 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     A COLLADA file's <unit> is applied, its <up_axis> is not, as ROS's own readers have it.
 
     Raises:
-        RobotError: another format, a file that is truncated or empty, or no library to read it.
+        RobotError: another format, a file that is truncated, empty or of more than 64 MiB, or no
+            library to read it.
     """
-    path = Path(path)
-    try:
-        stamp = path.stat().st_mtime_ns
-    except OSError as error:
-        raise RobotError(f"{path}: the mesh cannot be read ({error})") from error
-    return _read(path, stamp)
+    file = checked_path(path, "a mesh of a robot's link", error=RobotError, limit=_LARGEST)
+    return _read(file, file.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=128)
