@@ -21,6 +21,7 @@ SETS = (
     ("anisotropic_bending", 11, "white"),
     ("stiffness, quadratic", 501, "correlated-0.7"),
     ("stiffness_gradient", 501, "correlated-0.7"),
+    ("natural_curvature + stiffness", 302, "white"),
 )
 
 

@@ -1,10 +1,12 @@
 """The moves of a selection: beside a model, in pairs, by exchange, pruned; trials held out."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
+from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.pairs import likely_pairs
@@ -17,6 +19,9 @@ _FOLDS = 4
 _PAIRS, FLUCTUATION = 12, 5.0
 # Leaner pairs to fit in the place of a chosen one, out of so many by superposition.
 _LEANER, _LEANER_FROM = 6, 40
+# Of how many fits, the best, it is seen whether trials hold them back: no more than the rest of so
+# large a share, each with so many times the squares that they have in the median.
+_AGAIN, _MOST, _OUTWEIGHS = 3, 0.75, 5.0
 
 
 def base_fit(laboratory: Laboratory) -> Fit:
@@ -232,7 +237,32 @@ def _fit(laboratory, models, starts, origin, rival: float = np.inf) -> list[Fit]
         least_gain=[0.5 * (BIC_MARGIN + price * (len(v) - paid)) for v in starts],
         rival=rival,
     )
-    return [f for f in fits if np.isfinite(f.chi_squared)]
+    return _past_folds(laboratory, [f for f in fits if np.isfinite(f.chi_squared)])
+
+
+def _past_folds(laboratory, fits: list[Fit]) -> list[Fit]:
+    """The fits, and the best of them once more without trials that outweigh the rest, then whole.
+
+    A trial whose rod turns over between the base model and the true one may hold its parameters
+    back, where the others' squares would fall all the way.
+    """
+    trials, found = laboratory.measurements.train, list(fits)
+    for fit in sorted(fits, key=lambda f: f.chi_squared)[:_AGAIN]:
+        if fit.chi_squared - fit.residual_count < FLUCTUATION * np.sqrt(2.0 * fit.residual_count):
+            continue
+        with suppress(DataError):
+            misfit = laboratory.misfit(fit.model, fit.values, trials)
+            stays = misfit < _OUTWEIGHS * np.median(misfit)
+            if stays.all() or stays.mean() < _MOST:
+                continue
+            own, weights = fit, stays[None].astype(float)
+            for weighed in (weights, None):
+                own = fit_models(
+                    laboratory, [fit.model], [own.values], weights=weighed, origin=own, race=False
+                )[0]
+            if own.chi_squared < fit.chi_squared:
+                found.append(own)
+    return found
 
 
 def held_out_error(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
