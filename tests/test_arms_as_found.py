@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pxr import Usd, UsdGeom
 from test_robot_model import own_arm
 
 import wrod
@@ -178,6 +179,14 @@ def test_the_hanging_rod_keeps_clear_of_what_the_arm_would_miss(tmp_path, line):
     shapes = line.shape @ pose[:3, :3].T + pose[:3, 3]
     near = np.linalg.norm(shapes[..., :2] - foot[:2], axis=-1)[shapes[..., 2] < -0.18]
     assert near.min() > 0.01
+    # And it is seen where it stands.
+    file = wrod.export_usd(tmp_path / "scene.usdc", trajectory=line, joint_path=path)
+    stage = Usd.Stage.Open(str(file))
+    (shape,) = stage.GetPrimAtPath("/World/Deployment_000/obstacles").GetChildren()
+    seen = UsdGeom.XformCache().GetLocalToWorldTransform(shape).ExtractTranslation()
+    robot = stage.GetPrimAtPath("/World/Deployment_000/robot")
+    base = UsdGeom.XformCache().GetLocalToWorldTransform(robot)
+    assert np.allclose(base.GetInverse().Transform(seen), [foot[0], foot[1], -0.24], atol=1e-9)
 
 
 def test_an_obstacle_in_the_way_is_named_and_one_beside_is_kept_clear_of(

@@ -23,6 +23,7 @@ from wrod.records import freeze, plain
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
+from wrod.robot.urdf import LinkShape
 
 _FORMAT = "wrod-joint-path-1"
 _ARRAYS = ("time", "positions", "velocities", "arc_length", "node_time", "node_positions")
@@ -43,6 +44,7 @@ class JointPath:
         placement: where the pattern lies before the robot.
         grip: how the gripper holds the rod.
         robot: the arm, with its gripper; None after `load`.
+        obstacles: shapes that it keeps clear of, in its base's frame [m]; none after `load`.
         metadata: settings, errors and margins; plain JSON values. `largest_step` [rad] is between
             nodes, `largest_turn` [rad] that of the rod's frame between nodes, which the last joint
             must follow, and `step_beyond_turn` [rad per 5 mm of the grip's way] the rest.
@@ -62,6 +64,7 @@ class JointPath:
     grip: Grip
     robot: Robot | None = None
     metadata: dict = field(default_factory=dict)
+    obstacles: tuple[LinkShape, ...] = ()
 
     def __post_init__(self):
         for name, kind in (("placement", Placement), ("grip", Grip)):

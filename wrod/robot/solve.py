@@ -133,7 +133,8 @@ def solve_joint_path(
         )
         best = _solved(task, _places(task, fixed, table_height), angles, fixed)
         path = _timed(arm, task.path, best, grip_speed, rate, clock.perf_counter() - started)
-        return _with_job(path, task) if whole_job else path
+        path = _with_job(path, task) if whole_job else path
+        return path if obstacles is None else replace(path, obstacles=tuple(obstacles.shapes))
 
 
 def _places(task: Task, fixed: Placement | None, table_height) -> list[Placement]:

@@ -272,6 +272,10 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
         robot = joint_path.robot
         base = joint_path.placement.world_from_base
         add_arm(stage, f"{root}/robot", robot, base, shown.positions, times, materials)
+        if joint_path.obstacles:
+            set_pose(UsdGeom.Xform.Define(stage, f"{root}/obstacles").GetPrim(), base)
+            add_visuals(stage, f"{root}/obstacles", joint_path.obstacles, materials)
+            seen += [(base @ shape.pose)[None, :3, 3] for shape in joint_path.obstacles]
         if robot.name != "sawyer":  # Sawyer brings its pedestal
             add_stand(stage, f"{root}/stand", base @ robot.mount, BASE_HEIGHT, materials)
         if "stand" in joint_path.metadata:

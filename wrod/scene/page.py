@@ -9,6 +9,7 @@ import contextlib
 import io
 import os
 import socket
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from wrod.scene.page_parts import (
     add_holder,
     add_rod,
     add_segments,
+    add_shape,
     expected_errors,
     move_rod,
     pose_of,
@@ -239,6 +241,8 @@ def _workplace(server, trajectory, lies, joint_path, pattern, radius: float) -> 
                 _LEG,
             )
     box("/floor", (*middle, table.floor - 0.01), (*(size + 2.0), 0.02), _FLOOR)
+    for number, shape in enumerate(() if joint_path is None else joint_path.obstacles):
+        add_shape(server, f"/obstacle_{number}", replace(shape, pose=frame @ shape.pose))
     points = trajectory.contact
     if hasattr(pattern, "sample"):
         points = pattern.sample(np.linspace(-pattern.remainder_length, pattern.length, 300))[0]

@@ -160,7 +160,7 @@ class ShownArm:
             local = base @ poses[link]
             frame = server.scene.add_frame(f"/arm/{link}", show_axes=False, **pose_of(local[0]))
             for number, shape in enumerate(shapes):
-                _add_shape(server, f"/arm/{link}/{number}", shape)
+                add_shape(server, f"/arm/{link}/{number}", shape)
             turns = Rotation.from_matrix(local[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
             moves = bool(np.ptp(local, axis=0).max() > 1e-9)
             self._links.append((frame, turns, local[:, :3, 3], moves))
@@ -187,7 +187,7 @@ class ShownArm:
                 frame.wxyz, frame.position = turns[k], places[k]
 
 
-def _add_shape(server, name: str, shape: LinkShape) -> None:
+def add_shape(server, name: str, shape: LinkShape) -> None:
     color = _GREY if shape.color is None else tuple(int(255 * c) for c in shape.color)
     placed = pose_of(shape.pose)
     scene = server.scene
