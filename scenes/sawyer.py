@@ -16,7 +16,6 @@ from .gripper import GRIPPER_LENGTH, gripper_elements
 from .urdf_writer import box, joint_element, link_element, rod_between, sphere
 
 PATH = Path(__file__).parent / "robots" / "sawyer.urdf"
-NEUTRAL = (0.0, -1.18, 0.0, 2.18, 0.0, 0.57, 3.3161)
 
 _Q = math.pi / 2
 # name, parent, child, xyz, rpy, (lower, upper, max velocity [rad/s], max effort [N m])

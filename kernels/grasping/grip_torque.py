@@ -21,7 +21,6 @@ wp.set_module_options({"enable_backward": False})
 
 mat43d = wp.types.matrix(shape=(4, 3), dtype=wp.float64)
 mat83d = wp.types.matrix(shape=(8, 3), dtype=wp.float64)
-mat38d = wp.types.matrix(shape=(3, 8), dtype=wp.float64)
 # Columns of the frontal elimination's rows, in blocks of four.
 FIRST = wp.constant(12)
 RHS = wp.constant(16)

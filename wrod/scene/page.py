@@ -27,13 +27,13 @@ from wrod.scene.page_parts import (
     pose_of,
 )
 from wrod.scene.phases import Falls, covered, falling, rods_of, with_release
-from wrod.scene.workplace import TABLE_THICKNESS, table_under
+from wrod.scene.workplace import table_under
 
 _FRAMES = 400  # at most: a page of a few MB whatever the path's duration
 _DRAWN = 2.5  # [px] of the pattern's line
 _ROD_POINTS = 121
 _VIEW, _WIDE = 0.75, 1.2  # [rad] of the camera up and down; width over height that is filled
-_WOOD, _LEG, _FLOOR = (128, 97, 66), (77, 79, 84), (165, 170, 176)
+_FLOOR = (0.647, 0.667, 0.69)
 _INK = (26, 56, 140)
 _COLOURS = "green: on the pattern; red: a centimetre off"
 _LINE = 0.045  # of what is seen, between the captions' lines
@@ -220,27 +220,13 @@ def _aim(camera, placement, seen: np.ndarray) -> None:
 
 def _workplace(server, trajectory, lies, joint_path, pattern, radius: float) -> None:
     table = table_under(lies, joint_path, radius)
-    middle, size = (table.low + table.high) / 2, table.high - table.low
-    frame = np.array(table.pose)
-
-    def box(name: str, at, dimensions, color) -> None:
-        matrix = frame.copy()
-        matrix[:3, 3] = frame[:3, :3] @ np.asarray(at, float) + frame[:3, 3]
-        server.scene.add_box(name, color=color, dimensions=tuple(dimensions), **pose_of(matrix))
-
-    top = table.top - TABLE_THICKNESS / 2
-    box("/table/top", (*middle, top), (*size, TABLE_THICKNESS), _WOOD)
-    height = table.top - TABLE_THICKNESS - table.floor
-    if height > 0.01:
-        for number, (x, y) in enumerate(((-1, -1), (1, -1), (1, 1), (-1, 1))):
-            at = middle + np.array([x, y]) * (size / 2 - 0.05)
-            box(
-                f"/table/leg_{number}",
-                (*at, table.floor + height / 2),
-                (0.045, 0.045, height),
-                _LEG,
-            )
-    box("/floor", (*middle, table.floor - 0.01), (*(size + 2.0), 0.02), _FLOOR)
+    frame, room = np.array(table.pose), table.high - table.low + 2.0
+    ground = (*(table.low + table.high) / 2, table.floor - 0.01), (*room, 0.02), _FLOOR
+    for name, centre, size, color in (*table.boxes(), ("floor", *ground)):
+        pose = frame.copy()
+        pose[:3, 3] += frame[:3, :3] @ np.asarray(centre)
+        rgb = tuple(int(255 * c + 0.5) for c in color)
+        server.scene.add_box(f"/table/{name}", color=rgb, dimensions=size, **pose_of(pose))
     for number, shape in enumerate(() if joint_path is None else joint_path.obstacles):
         add_shape(server, f"/obstacle_{number}", replace(shape, pose=frame @ shape.pose))
     points = trajectory.contact

@@ -43,6 +43,18 @@ class TableTop:
         local = np.array([[x, y, self.top] for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))])
         return local @ self.pose[:3, :3].T + self.pose[:3, 3]
 
+    def boxes(self) -> list[tuple]:
+        """Names, centres and sizes (3,) [m], colours of top and legs in that frame."""
+        middle, size = (self.low + self.high) / 2, self.high - self.low
+        under = self.top - TABLE_THICKNESS
+        found = [("top", (*middle, under + TABLE_THICKNESS / 2), (*size, TABLE_THICKNESS), _WOOD)]
+        if (height := under - self.floor) > 0.01:
+            for number, corner in enumerate(((-1, -1), (1, -1), (1, 1), (-1, 1))):
+                at = middle + np.array(corner) * (size / 2 - 0.05)
+                centre = (*at, self.floor + height / 2)
+                found.append((f"leg_{number}", centre, (0.045, 0.045, height), _LEG))
+        return found
+
 
 def table_under(contact: np.ndarray, path: JointPath | None, rod_radius: float) -> TableTop:
     """Table with room around the contact points (T, 3) [m], before the arm of a joint path where
@@ -74,20 +86,10 @@ def add_table(stage, path: str, table: TableTop, materials: Materials) -> None:
     from wrod.scene.primitives import set_pose
 
     set_pose(UsdGeom.Xform.Define(stage, path).GetPrim(), table.pose)
-    middle, size = (table.low + table.high) / 2, table.high - table.low
-    slab = np.eye(4)
-    slab[:3, 3] = *middle, table.top - TABLE_THICKNESS / 2
-    add_shape(stage, f"{path}/top", "box", (*size, TABLE_THICKNESS), slab, materials, _WOOD)
-    height = table.top - TABLE_THICKNESS - table.floor
-    if height <= 0.01:
-        return
-    for number, (x, y) in enumerate(((-1, -1), (1, -1), (1, 1), (-1, 1))):
-        leg = np.eye(4)
-        leg[:2, 3] = middle + np.array([x, y]) * (size / 2 - 0.05)
-        leg[2, 3] = table.floor + height / 2
-        add_shape(
-            stage, f"{path}/leg_{number}", "box", (0.045, 0.045, height), leg, materials, _LEG
-        )
+    for name, centre, size, color in table.boxes():
+        pose = np.eye(4)
+        pose[:3, 3] = centre
+        add_shape(stage, f"{path}/{name}", "box", size, pose, materials, color)
 
 
 def add_stand(stage, path: str, base: np.ndarray, height: float, materials: Materials) -> None:
