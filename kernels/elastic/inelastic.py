@@ -27,6 +27,8 @@ STANDARD_LINEAR_SOLID = wp.constant(2)
 DAHL = wp.constant(3)
 SMALL = wp.constant(wp.float64(1.0e-4))
 SIXTH = wp.constant(wp.float64(1.0 / 6.0))
+# Square of a curvature that is none: roots have a derivative.
+TINY = wp.constant(wp.float64(1.0e-300))
 
 
 @wp.struct
@@ -79,7 +81,7 @@ def flow(node: Inelastic, excess: wp.vec2d, weight: wp.vec2d) -> Flow:
     if node.law == PLASTIC:
         z = before + change
         weighted = wp.cw_mul(weight, z)
-        size = wp.sqrt(wp.dot(z, weighted))
+        size = wp.sqrt(wp.max(wp.dot(z, weighted), TINY))
         if size <= node.scale:
             out.z = z
             out.tangent = eye
@@ -91,18 +93,20 @@ def flow(node: Inelastic, excess: wp.vec2d, weight: wp.vec2d) -> Flow:
             out.work = node.scale * (size - HALF * node.scale)
         return out
     weighted = wp.cw_mul(weight, change)
-    size = wp.sqrt(wp.dot(change, weighted))
+    size = wp.sqrt(wp.max(wp.dot(change, weighted), TINY))
     x = size / node.scale
     kept = wp.exp(-x)
     share = one_less_exp_over(x)
     out.z = kept * before + share * change
     out.tangent = share * eye
-    out.work = stored + share * wp.dot(weighted, before)
-    out.work += node.scale * node.scale * (x - x * share)
+    work = node.scale * node.scale * (x - x * share)
+    out.work = stored + share * wp.dot(weighted, before) + work
     if size > ZERO:
         # The derivatives of exp(-x) and of (1 - exp(-x)) / x.
         fall = (kept - share) / size
-        out.tangent += wp.outer(fall * change - (kept / node.scale) * before, weighted / size)
+        turned = wp.outer(fall * change - (kept / node.scale) * before, weighted / size)
+        # What is added by += to a field is lost beside `wp.grad` (Warp 1.19).
+        out.tangent = out.tangent + turned
     return out
 
 
