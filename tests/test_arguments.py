@@ -309,6 +309,9 @@ CALLS = {
         dict(path=files()["model"], radius=None, length=None),
     ),
     "save_rod": lambda: (wrod.save_rod, dict(rod=vps(), path="/proc/none/a", assumed=())),
+    "save_rod, a model": lambda: (
+        wrod.save_rod, dict(rod=rod_model(), path="/proc/none/a", assumed=(), found=None),
+    ),
     "RodMaterial.curvature_held": lambda: (vps().curvature_held, dict(roll=0.0)),
     "RodModel": lambda: (wrod.RodModel, MODEL),
     "RodModel.of": lambda: (wrod.RodModel.of, dict(rod=vps())),
@@ -878,6 +881,11 @@ def test_only_typed_errors(name, tmp_path, monkeypatch, tried):
     pairs = list(itertools.combinations(valid, 2))
     swapped = pairs if FUZZ > 1 else draw.sample(pairs, min(len(pairs), SHARE))
     calls += [(a, f"and {b} swapped", {a: valid[b], b: valid[a]}) for a, b in swapped]
+    for _ in range((2 if FUZZ == 1 else share) * (len(valid) > 1)):  # two or more wrong at once
+        some = draw.sample(list(valid), draw.choice([2, min(3, len(valid)), len(valid)]))
+        change = {one: draw.choice(wrong) for one in some}
+        kinds = " and ".join(kind for kind, _ in change.values())
+        calls.append((" and ".join(some), kinds, {one: v for one, (_, v) in change.items()}))
     draw.shuffle(calls)
     for parameter, kind, change in calls:
         if time.monotonic() > late:

@@ -190,15 +190,22 @@ class Controller(Trained):
                 raise GraspError(f"{name} must be numbers, not {arguments.shown(value)}")
         torch = sys.modules.get("torch")
         if torch is not None and any(isinstance(value, torch.Tensor) for value in inputs):
-            like = next(value for value in inputs if isinstance(value, torch.Tensor))
-            odd = like.is_sparse or like.is_quantized or like.is_nested
-            if odd or like.is_meta or like.dtype in (torch.bfloat16, torch.float16):
-                raise GraspError(
-                    f"grasp inputs are of {like.dtype} on {like.device}; give dense tensors of "
-                    "float32 or float64 that hold numbers"
-                )
+            given = [value for value in inputs if isinstance(value, torch.Tensor)]
+            for one in given:
+                odd = one.is_sparse or one.is_quantized or one.is_nested or one.is_meta
+                if not odd and one.numel() > arguments.MOST_NUMBERS:  # an expanded one takes none
+                    raise GraspError(f"grasp inputs have {one.numel()} numbers; give fewer at once")
+                if odd or one.dtype in (torch.bfloat16, torch.float16):
+                    raise GraspError(
+                        f"grasp inputs are of {one.dtype} on {one.device}; give dense tensors of "
+                        "float32 or float64 that hold numbers"
+                    )
+            like = given[0]
             kind = like.dtype if like.dtype.is_floating_point else torch.float64
-            tensors = [torch.as_tensor(v, dtype=kind, device=like.device) for v in inputs]
+            try:
+                tensors = [torch.as_tensor(v, dtype=kind, device=like.device) for v in inputs]
+            except Exception as error:  # as of NumPy below
+                raise GraspError(f"grasp inputs must be numbers ({error})") from None
             xp, stack = torch, lambda arrays: torch.stack(arrays, -1)
             broadcast, finite = torch.broadcast_tensors, torch.isfinite
             tensors = [torch.atleast_1d(tensor) for tensor in tensors]

@@ -124,7 +124,7 @@ class GraspArrays:
 def _kind(value) -> str:
     if isinstance(value, wp.array):
         return "warp"
-    if type(value).__module__.split(".")[0] == "torch":
+    if type(value).__module__.split(".")[0] == "torch" and hasattr(value, "device"):
         return "torch"
     return "number" if np.ndim(value) == 0 else "numpy"
 

@@ -11,7 +11,7 @@ import msgspec
 
 from wrod import arguments
 from wrod.errors import RodError, WrodWarning
-from wrod.files import decode_labels, read_json, schemas, write_json
+from wrod.files import decode_labels, read_json, schemas, write_json, write_text
 from wrod.files.reading import entry_message
 from wrod.rods.law import law_as_json, law_of
 from wrod.rods.material import RodMaterial
@@ -28,7 +28,7 @@ _FAR_KNOTS = 100.0
 _WHAT = "a rod file, as `wrod loop --out` or `wrod identify` writes it"
 
 
-@arguments.checked(RodError)
+@arguments.checked(RodError, assumed=arguments.several(arguments.text, 0))
 def save_rod(
     rod: RodMaterial | RodModel, path: str | os.PathLike[str], *, assumed=(), found=None
 ) -> Path:
@@ -39,14 +39,19 @@ def save_rod(
         found: a record of how the model was found, which readers keep out of the rod.
 
     Raises:
-        RodError: it is no rod.
+        RodError: it is no rod, or `found` is nothing that JSON holds.
     """
     if isinstance(rod, RodMaterial):
         return write_json(path, {"format": MATERIAL_FORMAT, **asdict(rod)}, allow_nan=False)
-    content = {"format": MODEL_FORMAT, **model_as_json(RodModel.of(rod)), "assumed": list(assumed)}
+    content = {"format": MODEL_FORMAT, **model_as_json(RodModel.of(rod))}
+    content["assumed"] = list(assumed)
     if found is not None:
         content["found"] = found
-    return write_json(path, content, allow_nan=False)
+    try:
+        text = json.dumps(content, indent=2, allow_nan=False)
+    except Exception as error:  # whatever an object does that is asked to be JSON
+        raise RodError(f"save_rod: found is nothing that JSON holds ({error})") from None
+    return write_text(path, f"{text}\n")
 
 
 def model_as_json(model: RodModel) -> dict:
