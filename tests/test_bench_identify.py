@@ -94,6 +94,13 @@ def test_errors_are_those_of_vectors_and_directions_repeat():
     assert error_of({}, truth) == (None, None)
 
 
+def test_errors_of_a_profile_that_is_nothing_somewhere_are_those_of_the_largest_value():
+    truth = {"profile_of_curvature": {("c_at_0_mm",): (0.0,), ("c_at_9_mm",): (-2.0,)}}
+    told = {key: {"value": 0.1, "stderr": 0.2, "unit": "1/m"} for key in ("c_at_0_mm", "c_at_9_mm")}
+    told["c_at_9_mm"]["value"] = -2.0
+    assert error_of({"profile_of_curvature": told}, truth) == pytest.approx((0.05, 0.5))
+
+
 def test_built_effects_are_judged_by_place_and_size():
     def estimates(**values):
         return {key: {"value": value} for key, value in values.items()}

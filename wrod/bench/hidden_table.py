@@ -115,13 +115,15 @@ def outcome(
 
 
 def error_of(found: dict, truth: dict) -> tuple[float | None, float | None]:
-    """(relative error, error in standard errors) of the worst parameter that was named rightly."""
+    """(relative error, error in standard errors) of the worst parameter that was named rightly; of
+    a profile, which may be nothing somewhere, relative to the largest value along the rod."""
     errors, deviations = [], []
     for name, own in truth.items():
+        largest = max((math.hypot(*v) for v in own.values()), default=0.0)
         for keys, values in own.items() if name in found else ():
             parts = [found[name][key] for key in keys]
             away = [p["value"] - v for p, v in zip(parts, values, strict=True)]
-            size = math.hypot(*values)
+            size = largest if name.startswith("profile_of_") else math.hypot(*values)
             if parts[0]["unit"] == "deg":  # principal directions repeat after half a turn
                 away = [math.radians((away[0] + 90.0) % 180.0 - 90.0)]
                 parts, size = [{"stderr": math.radians(parts[0]["stderr"])}], 1.0
