@@ -110,8 +110,11 @@ class Scene:
         )  # fmt: skip
         if not together:
             builder.end_world()
-        if ground:
-            builder.add_ground_plane(cfg=newton.ModelBuilder.ShapeConfig(mu=0.25))
+        cfg = newton.ModelBuilder.ShapeConfig(mu=0.25)
+        if ground == "solids":
+            self._add_solids(builder, cfg)
+        elif ground:
+            builder.add_ground_plane(cfg=cfg)
         model = self.model = builder.finalize(device=DEVICE, requires_grad=True)
         self.capsule = int(model.der.rod_body.numpy()[0]) + 4
         rng = np.random.default_rng(2)
@@ -138,6 +141,26 @@ class Scene:
             poses = 0.2 * n * [0.01, 0.005, 0.001, 0.0, 0.0, 0.2, 0.0] + [*[0.0] * 6, 1.0]
         self.poses = np.round(poses * 2**20) / 2**20  # so that steps of them are exact
         self.weight = rng.normal(size=(18, 3))
+
+    def _add_solids(self, builder, cfg):
+        """What the rods lie on, side by side."""
+
+        def at(x, y, depth, turn=(0.0, 0.0, 0.0)):
+            quaternion = Rotation.from_rotvec(turn).as_quat()
+            return wp.transform((x, y, 3e-5 - depth), wp.quat(*quaternion))
+
+        along = (0.5 * np.pi, 0.0, 0.0)
+        builder.add_shape_box(-1, xform=at(0.02, 0.0, 0.1), hx=0.04, hy=0.05, hz=0.1, cfg=cfg)
+        builder.add_shape_sphere(-1, xform=at(0.11, 0.01, 0.05), radius=0.05, cfg=cfg)
+        builder.add_shape_capsule(
+            -1, xform=at(0.2, 0.02, 0.03, along), radius=0.03, half_height=0.05, cfg=cfg
+        )
+        builder.add_shape_cylinder(
+            -1, xform=at(0.27, 0.02, 0.02, along), radius=0.02, half_height=0.05, cfg=cfg
+        )
+        builder.add_shape_ellipsoid(-1, xform=at(0.0, 0.2, 0.04), rx=0.1, ry=0.08, rz=0.04, cfg=cfg)
+        box = newton.Mesh.create_box(0.05, 0.04, 0.03, compute_inertia=False)
+        builder.add_shape_mesh(-1, xform=at(0.01, 0.33, 0.03, (0.0, 0.0, 0.3)), mesh=box, cfg=cfg)
 
     def run(self, tape=None, warm=0, capsule=True, **changed):
         """Loss, first state and poses; the first `warm` steps are not on the tape."""
@@ -237,11 +260,14 @@ def compare(scene, names, size=1e-4, **options):
         if name == "poses":
             way[: options.get("warm", 0)] = 0.0
             step *= 2.0**-6 if scene.kinked else 1.0
+        elif name == "friction" and scene.ground == "solids":
+            step *= 2.0**-5
         elif name == "gravity" and scene.ground:  # more of it lets nodes slide that stick
             step *= 2.0**-4
         elif name in PROPERTIES and "natural" not in name:
             way *= getattr(scene.model.der, name).numpy()
-        if name in ("edge_spin", "edge_stretching_stiffness"):  # which count little
+        little = ["edge_spin", "edge_stretching_stiffness"]  # which count little
+        if name in little or (name == "rod_air_damping" and scene.ground):
             way *= 30.0
         elif name == "node_q" and scene.kinked:  # the skin in which contact begins is thin
             way *= 0.01
@@ -342,7 +368,8 @@ def test_what_has_no_gradients_is_refused():
     """By the step, when a tape is recorded; without one it is taken."""
     builder = make()
     cable(builder, height=0.006)
-    builder.add_shape_box(-1, xform=wp.transform((0.1, 0.0, -0.1)), hx=0.2, hy=0.2, hz=0.1)
+    tray = builder.add_link(is_kinematic=True)
+    builder.add_shape_box(tray, xform=wp.transform((0.1, 0.0, -0.1)), hx=0.2, hy=0.2, hz=0.1)
     with pytest.raises(RodError, match="touches something"):
         taped_step(builder, count=20)
     builder = make()
@@ -366,12 +393,15 @@ def test_a_tape_without_gradients_records_nothing():
     assert tape.launches == []
 
 
-def test_gradients_over_the_ground():
-    """Of cables that a hand drags over the ground, which slide and stick, by friction as well."""
+@pytest.mark.parametrize(("ground", "rubs"), [(True, [1]), ("solids", [1, 1, 1, 0, 1, 1])])
+def test_gradients_over_the_ground(ground, rubs):
+    """Of cables that a hand drags over the ground, or over a box, a ball, a capsule, a cylinder, an
+    ellipsoid and a mesh, where they slide and stick, by friction as well."""
     names = [name for name in EVERY if name != "node_natural_curvature"]
-    scene = Scene(ground=True, dt=0.005)
+    scene = Scene(ground=ground, dt=0.005)
     compare(scene, names, size=4e-6)
-    assert scene.model.shape_material_mu.grad.numpy()[-1] != 0.0
+    by_friction = scene.model.shape_material_mu.grad.numpy()[-len(rubs) :]
+    assert ((by_friction != 0.0) == np.array(rubs)).all()
 
 
 @wp.kernel

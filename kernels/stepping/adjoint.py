@@ -27,6 +27,8 @@ from wrod.kernels.stepping.trace import OneStep, Wanted
 wp.set_module_options({"enable_backward": False})
 
 SIX = wp.constant(wp.float64(6.0))
+# Residuals of the nodes at an edge's head and tail by where they are.
+EdgeBlock = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 
 
 @wp.func
@@ -110,14 +112,16 @@ def load_wanted(
 @wp.struct
 class StepMatrix:
     """A_n^T: the Hessian, and what makes it unsymmetric; see `weigh_spins`, and
-    `wrod.kernels.contact.plane_adjoint` for `coupling` and
-    `wrod.kernels.stepping.inelastic_adjoint` for `skew` and `rate`, which may have no columns."""
+    `wrod.kernels.contact.plane_adjoint` for `coupling`, `wrod.kernels.contact.edge_adjoint` for
+    `block` and `wrod.kernels.stepping.inelastic_adjoint` for `skew` and `rate`, which may have no
+    columns."""
 
     hessian: wp.array3d(dtype=wp.float64)
     spin_inertia: wp.array2d(dtype=wp.float64)
     moment: wp.array2d(dtype=wp.vec3d)
     by_end: wp.array2d(dtype=wp.vec3d)
     coupling: wp.array2d(dtype=wp.mat33d)
+    block: wp.array2d(dtype=EdgeBlock)
     skew: wp.array2d(dtype=wp.float64)
     rate: wp.array3d(dtype=wp.vec2d)
 
@@ -138,6 +142,9 @@ def entry(m: StepMatrix, r: int, a: int, b: int) -> wp.float64:
             if m.coupling.shape[1] > 0:
                 value += m.coupling[r, i][b % 4, a % 4]
         value += wp.skew(around)[a % 4, b % 4]
+        if m.block.shape[1] > 0:
+            for e in range(wp.max(wp.max(a, b) / 4 - 1, 0), wp.min(i + 1, m.block.shape[1])):
+                value += m.block[r, e][3 * (b / 4 - e) + b % 4, 3 * (a / 4 - e) + a % 4]
     if a % 4 < 3 and b % 4 == 3:
         e = b / 4
         if a / 4 == e:

@@ -23,7 +23,8 @@ class OneStep:
     times to where forces are taken and to the end of the step, which is at `time` on the way to
     `until`; configurations are those where forces are taken, at the start (`before`) and a step
     earlier (`older`), velocities and strains of the last two; strains are there if the material is
-    viscous, what friction remembers at the start (shape, node) if something can be touched."""
+    viscous, what friction remembers at the start (shape, node or edge) if something can be
+    touched."""
 
     active: wp.array(dtype=wp.int32)
     coefficient: wp.array(dtype=wp.vec3d)
@@ -45,6 +46,8 @@ class OneStep:
     strain_older: wp.array2d(dtype=wp.vec4d)
     bristle: wp.array3d(dtype=wp.vec3d)
     sliding: wp.array3d(dtype=wp.int32)
+    edge_bristle: wp.array3d(dtype=wp.vec3d)
+    edge_sliding: wp.array3d(dtype=wp.int32)
 
 
 @wp.func
@@ -105,14 +108,15 @@ class Wanted:
     """What a loss wants of rods at one time, its derivatives (rod, ...): by nodes and by the turn
     of each edge's frame about it (`dof`), by velocities, by how far the reference frame has turned
     while the edge's has not (`turn`, of each edge), by the strains that a viscous material
-    remembers, by the bristles (shape, node) of friction, and by the curvatures that nodes have of
-    their own whose bending remembers."""
+    remembers, by the bristles (shape, node or edge) of friction, and by the curvatures that nodes
+    have of their own whose bending remembers."""
 
     dof: wp.array2d(dtype=wp.float64)
     velocity: wp.array2d(dtype=wp.float64)
     turn: wp.array2d(dtype=wp.float64)
     strain: wp.array2d(dtype=wp.vec4d)
     bristle: wp.array3d(dtype=wp.vec3d)
+    edge_bristle: wp.array3d(dtype=wp.vec3d)
     lagging: wp.array2d(dtype=wp.vec2d)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrod.kernels.contact import plane_adjoint, planes
+from wrod.kernels.contact import edge_adjoint, plane_adjoint, planes
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import adjoint as kernels
 from wrod.kernels.stepping import midpoint_adjoint, model_adjoint
@@ -28,6 +28,7 @@ from wrod.solvers.trace import (
     make_wanted,
     planes_of,
     require_differentiable,
+    solids_of,
     step_arrays,
 )
 from wrod.solvers.viscosity import Viscosity
@@ -103,9 +104,7 @@ class StepAdjoint:
             floats(nodes - 1, dtype=wp.vec3d) for _ in range(3)
         )
         self._spin_inertia, self._wanted = floats(nodes - 1), floats(dofs)
-        self._planes = planes_of(dynamics)
-        self._coupling = floats(0 if self._planes is None else nodes, dtype=wp.mat33d)
-        self.by_friction = floats(self.now.bristle.shape[1])
+        self._know_contact(stiffness_of_mass)
         self._past = None if batch.inelastic is None else FlowAdjoint(batch)
         skew, rate = floats(0), floats(0, 0, dtype=wp.vec2d)
         if self._past is not None:
@@ -114,7 +113,8 @@ class StepAdjoint:
             kernels.StepMatrix(),
             dict(
                 hessian=self._at.hessian, spin_inertia=self._spin_inertia, moment=self._moment,
-                by_end=self._by_end, coupling=self._coupling, skew=skew, rate=rate,
+                by_end=self._by_end, coupling=self._coupling, block=self._block, skew=skew,
+                rate=rate,
             ),
         )  # fmt: skip
         self._factor = floats(dofs, banded_lu.BAND)
@@ -137,9 +137,26 @@ class StepAdjoint:
         self._drag = floats(0, dtype=wp.vec2d) if dynamics.drag is None else dynamics.drag
         self._properties = PropertyAdjoint(dynamics, self._viscous_time, air_of_mass)
         self.model, self.by_spins = self._properties.model, self._properties.spins
+
+    def _know_contact(self, stiffness_of_mass: np.ndarray | None) -> None:
+        batch = self.batch
+        rods, nodes = batch.rod_count, batch.node_count
+        self._planes, self._solids = planes_of(self.dynamics), solids_of(self.dynamics)
+
+        def floats(*shape, dtype: type = wp.float64):
+            return wp.zeros((rods, *shape), dtype=dtype, device=batch.device)
+
+        def numbers(values):
+            return wp.array(values, dtype=wp.float64, device=batch.device)
+
+        self._coupling = floats(0 if self._planes is None else nodes, dtype=wp.mat33d)
+        self._block = floats(0 if self._solids is None else nodes - 1, dtype=kernels.EdgeBlock)
+        self.by_friction = floats(self.now.bristle.shape[1])
         if stiffness_of_mass is None:
             stiffness_of_mass = np.zeros((rods, nodes))
-        self._stiffness_share = wp.array(stiffness_of_mass, dtype=wp.float64, device=device)
+        self._stiffness_share = numbers(stiffness_of_mass)
+        if self._solids is not None:
+            self._per_mass = numbers(stiffness_of_mass / self._planes.memory[0].stiffness.numpy())
 
     def _all_wanted(self) -> list[StepParts]:
         """Of rods and bodies, as in `now`, `before` and `older`."""
@@ -289,21 +306,32 @@ class StepAdjoint:
             [self._at.gradient, self._at.hessian],
         )
         batch.launch(plane_adjoint.want_bristles, shape, [model, step], [self.now, self._coupling])
+        if self._solids is not None:
+            batch.launch(
+                edge_adjoint.want_bristles,
+                self._block.shape,
+                [self._solids.memory[0], step],
+                [self.now, self._at.gradient, self._block],
+            )
 
     def _want_friction(self) -> None:
-        if self._planes is not None:
-            batch = self.batch
+        if self._planes is None:
+            return
+        batch = self.batch
+        rods = [batch.node_mass, self._properties.piece, self.step, self.now, self._x]
+        outputs = [self.before, self.by_friction, self.model, self.by_spins]
+        batch.launch(
+            plane_adjoint.want_friction,
+            (batch.rod_count, batch.node_count),
+            [self._planes.memory[0], self._stiffness_share, *rods],
+            outputs,
+        )
+        if self._solids is not None:
             batch.launch(
-                plane_adjoint.want_friction,
-                (batch.rod_count, batch.node_count),
-                [
-                    self._planes.memory[0],
-                    self._stiffness_share,
-                    batch.node_mass,
-                    self._properties.piece,
-                ]
-                + [self.step, self.now, self._x],
-                [self.before, self.by_friction, self.model, self.by_spins],
+                edge_adjoint.want_friction,
+                self._block.shape,
+                [self._solids.memory[0], self._per_mass, *rods],
+                outputs,
             )
 
     def _solve(self) -> None:

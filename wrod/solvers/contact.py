@@ -236,6 +236,11 @@ class Contact(OnDevice):
         return self._model, self._bristle, self._sliding
 
     @property
+    def solids(self) -> EdgeContact | None:
+        """Contact of edges, where there is any."""
+        return self._edges if self._has_fixtures else None
+
+    @property
     def pushes(self) -> tuple[wp.array, wp.array]:
         """(rod, shape) force on each solid at the end of the last step, and its moment about the
         origin."""
@@ -355,10 +360,6 @@ class Contact(OnDevice):
             [self._model, chosen, dof, dof_before],
             [touching],
         )
-        self.find_touching_edges(chosen, dof, dof_before, touching)
-
-    def find_touching_edges(self, chosen, dof, dof_before, touching: wp.array) -> None:
-        """The same of solids alone."""
         if self._has_fixtures:
             self._edges.find_touching(chosen, dof, dof_before, touching)
 

@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 
 from wrod.errors import RodError
-from wrod.kernels.contact import depths, energies
+from wrod.kernels.contact import depths, edge_adjoint, energies
 from wrod.kernels.contact import edges as kernels
 from wrod.kernels.contact.planes import Touchable
 from wrod.rods.batch import RodBatch
@@ -68,6 +68,16 @@ class EdgeContact:
         batch = self.batch
         dim = (batch.rod_count, batch.node_count - 1)
         batch.launch(kernel, dim, inputs, outputs)
+
+    @property
+    def memory(self) -> tuple:
+        """What edges touch, their bristles (rod, shape, edge), and whether those slid."""
+        return self._model, self.bristle, self.sliding
+
+    def find_unknown(self, chosen, dof, dof_before, touching: wp.array) -> None:
+        """Raise `touching` (rod,) of the chosen rods that touch what has no adjoint."""
+        inputs = [self._model, self._hidden, chosen, dof, dof_before]
+        self._launch(edge_adjoint.find_unknown, inputs, [touching])
 
     def bear(self, burden: np.ndarray) -> None:
         """Let shapes press: see `Contact.bear`."""

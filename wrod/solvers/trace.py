@@ -13,6 +13,7 @@ from wrod.kernels.contact import plane_adjoint
 from wrod.kernels.stepping import trace as kernels
 from wrod.solvers.body_adjoint import body_steps
 from wrod.solvers.contact import Contact
+from wrod.solvers.edge_contact import EdgeContact
 from wrod.solvers.step_parts import StepParts
 from wrod.solvers.steps import SCHEMES
 
@@ -22,8 +23,19 @@ if TYPE_CHECKING:
 
 
 def planes_of(dynamics: NewtonSteps) -> Contact | None:
-    """The contact whose adjoint is known, of nodes with planes."""
+    """The contact whose adjoint is known, of nodes with planes and of edges with solids."""
     return next((c for c in dynamics.contacts if isinstance(c, Contact)), None)
+
+
+def solids_of(dynamics: NewtonSteps) -> EdgeContact | None:
+    """That of edges alone, where there is any."""
+    touched = planes_of(dynamics)
+    return None if touched is None else touched.solids
+
+
+def _memory(touched: Contact | EdgeContact | None) -> tuple[int, ...]:
+    """(shape, node or edge) that friction remembers."""
+    return (0, 0) if touched is None else touched.memory[1].shape[1:]
 
 
 def step_arrays(dynamics: Dynamics) -> dict[str, wp.array]:
@@ -43,6 +55,9 @@ def step_arrays(dynamics: Dynamics) -> dict[str, wp.array]:
     planes = planes_of(dynamics)
     if planes is not None:
         _, out["bristle"], out["sliding"] = planes.memory
+    solids = solids_of(dynamics)
+    if solids is not None:
+        _, out["edge_bristle"], out["edge_sliding"] = solids.memory
     return out
 
 
@@ -83,7 +98,7 @@ def require_differentiable(dynamics: Dynamics) -> None:
 def make_wanted(dynamics: Dynamics) -> Any:
     """`Wanted` of nothing yet."""
     batch = dynamics.batch
-    nodes, touched = batch.node_count, planes_of(dynamics)
+    nodes = batch.node_count
 
     def zeros(*columns, dtype: type = wp.float64):
         return wp.zeros((batch.rod_count, *columns), dtype=dtype, device=batch.device)
@@ -91,8 +106,8 @@ def make_wanted(dynamics: Dynamics) -> Any:
     out = kernels.Wanted()
     out.dof, out.velocity, out.turn = (zeros(n) for n in (*[batch.dof_count] * 2, nodes - 1))
     out.strain = zeros(nodes if dynamics.viscosity.exists else 0, dtype=wp.vec4d)
-    memory = (0, 0) if touched is None else touched.memory[1].shape[1:]
-    out.bristle = zeros(*memory, dtype=wp.vec3d)
+    out.bristle = zeros(*_memory(planes_of(dynamics)), dtype=wp.vec3d)
+    out.edge_bristle = zeros(*_memory(solids_of(dynamics)), dtype=wp.vec3d)
     out.lagging = zeros(0 if batch.inelastic is None else nodes, dtype=wp.vec2d)
     return out
 
@@ -118,8 +133,8 @@ class Record:
 class Trace:
     """Keeps what steps are made of (a `wrod.solvers.newton_steps.Follower`), by kernels alone.
 
-    33 numbers a node and step, 8 more of a viscous material and 3.5 for each shape to be touched;
-    and 7 a node each time that it is asked.
+    33 numbers a node and step, 8 more of a viscous material and 3.5 for each shape to be touched (7
+    where some are solids); and 7 a node each time that it is asked.
 
     Args:
         dynamics: whose steps; its `follower` is to be this.
@@ -133,6 +148,7 @@ class Trace:
         self.count = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
         self._touched = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
         self._planes = planes_of(dynamics)
+        self._solids = solids_of(dynamics)
         self._parts = StepParts([*step_arrays(dynamics).values(), *beside_rods(dynamics)])
         self._kept = self._parts.room(room)
 
@@ -143,8 +159,9 @@ class Trace:
         for contact in dynamics.contacts:
             if contact is not self._planes:
                 contact.find_touching(*touched)
+        if self._solids is not None:
+            self._solids.find_unknown(*touched)
         if self._planes is not None:
-            self._planes.find_touching_edges(*touched)
             shape = (batch.rod_count, batch.node_count)
             batch.launch(
                 plane_adjoint.find_unknown, shape, [self._planes.memory[0], *touched[:3]],
@@ -182,8 +199,8 @@ class Trace:
         if touched.any():
             raise RodError(
                 f"row {int(np.flatnonzero(touched)[0])} of rods touches something in this step "
-                "through which gradients are not there; they are through planes that stand still, "
-                "of rods without natural curvature"
+                "through which gradients are not there; they are through shapes that stand still, "
+                "of rods without natural curvature that begin outside them"
             )
         state = self.batch.state
         return Record(

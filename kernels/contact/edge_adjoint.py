@@ -1,0 +1,286 @@
+"""The adjoint of a step's contact of edges with solids that stand still: see
+`wrod.kernels.stepping.adjoint`, and `wrod.kernels.contact.edges` for the forces.
+
+Whether an edge touches, sticks or slides counts as it was. What changes is followed forwards, from
+each of the few numbers that one touch depends on: where it touches moves along the edge, and with
+it the normal turns.
+"""
+
+import warp as wp
+from wrod.kernels.contact.closest import SMOOTHING, Closest, is_fixture
+from wrod.kernels.contact.edges import EdgeTouch, edge_touch
+from wrod.kernels.contact.planes import Touchable, coefficient, damped_force, return_mapping
+from wrod.kernels.elastic.assembly import add_vector
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node
+from wrod.kernels.linear.banded_lu import ALONE
+from wrod.kernels.stepping.adjoint import EdgeBlock, solved
+from wrod.kernels.stepping.model_adjoint import WantedModel
+from wrod.kernels.stepping.trace import OneStep, Wanted
+
+wp.set_module_options({"enable_backward": False})
+
+# Numbers that a touch depends on: nodes at the end of the step, at its start, the bristle; radius,
+# stiffness, relaxation time, smoothing, coefficient of friction.
+AT_START = wp.constant(6)
+BRISTLE = wp.constant(12)
+RADIUS = wp.constant(15)
+STIFFNESS = wp.constant(16)
+RELAXATION = wp.constant(17)
+ROUNDING = wp.constant(18)
+COEFFICIENT = wp.constant(19)
+
+
+@wp.struct
+class Held:
+    """An edge that is touched: its vector and by how much that changed in the step, smoothing over
+    its length, unprojected stretch and motion of the point of contact, lag, depth and how it grew,
+    normal force, its slope by depth alone, what skin takes off it by the radius, coefficient,
+    stiffness, pull of the bristle, and how this follows the stretch (0 where it slides)."""
+
+    near: Closest
+    edge: wp.vec3d
+    change: wp.vec3d
+    smoothing: wp.float64
+    stretch: wp.vec3d
+    bristle: wp.vec3d
+    moved: wp.vec3d
+    time: wp.float64
+    lag: wp.float64
+    depth: wp.float64
+    closing: wp.float64
+    force: wp.float64
+    slope: wp.float64
+    by_skin: wp.float64
+    coefficient: wp.float64
+    stiffness: wp.float64
+    pull: wp.vec3d
+    slides: wp.float64
+
+
+@wp.struct
+class Change:
+    """How residuals at head and tail, and the bristle after the step, follow a number."""
+
+    at_head: wp.vec3d
+    at_tail: wp.vec3d
+    bristle: wp.vec3d
+
+
+@wp.func
+def hold(m: Touchable, step: OneStep, c: EdgeTouch, r: int, k: int, i: int) -> Held:
+    """All that a touch is made of."""
+    out = Held()
+    near = c.near
+    n = near.normal
+    out.near = near
+    out.edge = c.edge
+    head = node(step.dof, r, i) - node(step.dof_before, r, i)
+    tail = node(step.dof, r, i + 1) - node(step.dof_before, r, i + 1)
+    out.change = tail - head
+    out.smoothing = c.smoothing
+    out.moved = (ONE - near.s) * head + near.s * tail
+    out.stretch = step.edge_bristle[r, k, i] + out.moved
+    out.bristle = c.bristle
+    out.time = step.span[r]
+    out.lag = m.relaxation[r, i] / out.time
+    out.depth = c.depth
+    out.closing = c.closing
+    out.stiffness = c.stiffness
+    skin = m.skin[r, i]
+    law = damped_force(c.depth, c.closing, m.relaxation[r, i], out.time, c.stiffness, skin)
+    out.force = law[0]
+    out.slope = law[1] / (ONE + out.lag)
+    out.by_skin = -HALF * c.stiffness * skin
+    if c.depth + out.lag * wp.min(c.closing, c.depth) < skin:
+        out.by_skin = -law[0]
+    out.by_skin = out.by_skin / m.radius[r, i]
+    out.coefficient = coefficient(m, step.edge_sliding[r, k, i], r, k)
+    held = return_mapping(c.bristle, n, c.stiffness, out.coefficient * law[0])
+    out.pull = held.pull
+    out.slides = held.slides
+    return out
+
+
+@wp.func
+def part(number: int, first: int) -> wp.vec3d:
+    """Unit vector of a number among the three from `first` on."""
+    out = wp.vec3d(ZERO, ZERO, ZERO)
+    if number >= first and number < first + 3:
+        out[number - first] = ONE
+    return out
+
+
+@wp.func
+def one_of(number: int, this: int) -> wp.float64:
+    return wp.where(number == this, ONE, ZERO)
+
+
+@wp.func
+def follow(h: Held, number: int) -> Change:
+    """By one of the numbers."""
+    s = h.near.s
+    n = h.near.normal
+    by_stiffness = one_of(number, STIFFNESS)
+    by_rounding = one_of(number, ROUNDING)
+    # Where it touches, and the normal there.
+    along = (ONE - s) * part(number, 0) + s * part(number, 3)
+    way = part(number, 3) - part(number, 0)
+    bent = h.near.bend * h.edge
+    shift = wp.float64(0.0)
+    if h.near.free > ZERO:
+        shift = wp.dot(bent, along) + wp.dot(n, way) + (s - HALF) * by_rounding
+        shift = -shift / (wp.dot(h.edge, bent) + h.smoothing)
+    turn = h.near.bend * (along + shift * h.edge)
+    # The normal force.
+    before = (ONE - s) * part(number, AT_START) + s * part(number, AT_START + 3)
+    moved = along - before + shift * h.change
+    depth = one_of(number, RADIUS) - wp.dot(n, along) - HALF * (s - HALF) * (s - HALF) * by_rounding
+    closing = -wp.dot(moved, n) - wp.dot(h.moved, turn)
+    deeper = depth + h.lag * wp.where(h.closing < h.depth, closing, depth)
+    deeper += one_of(number, RELAXATION) / h.time * wp.min(h.closing, h.depth)
+    force = h.slope * deeper + h.by_skin * one_of(number, RADIUS)
+    force += by_stiffness * h.force / h.stiffness
+    # Friction.
+    stretch = part(number, BRISTLE) + moved
+    bristle = stretch - wp.dot(n, stretch) * n - wp.dot(h.stretch, n) * turn
+    bristle = bristle - wp.dot(h.stretch, turn) * n
+    pull = h.stiffness * bristle + by_stiffness * h.bristle
+    if h.slides > ZERO:
+        ahead = wp.normalize(h.bristle)
+        limit = h.coefficient * force + h.force * one_of(number, COEFFICIENT)
+        shrink = h.coefficient * h.force / wp.length(h.bristle)
+        pull = shrink * (bristle - wp.dot(ahead, bristle) * ahead) + limit * ahead
+    total = h.pull - h.force * n
+    change = pull - force * n - h.force * turn
+    out = Change()
+    out.at_head = (ONE - s) * change - shift * total
+    out.at_tail = s * change + shift * total
+    out.bristle = (pull - by_stiffness / h.stiffness * h.pull) / h.stiffness
+    return out
+
+
+@wp.kernel
+def find_unknown(
+    # Model:
+    model: Touchable,
+    hidden: wp.array2d(dtype=wp.float64),
+    # State in:
+    chosen: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    # State out:
+    touching_out: wp.array(dtype=wp.int32),
+):
+    """Say of the chosen rods whether they touch a solid in a way that has no adjoint: one that
+    moves, that turns them or keeps their roll, or that they come out of. Launched over (rod,
+    edge)."""
+    r, i = wp.tid()
+    if chosen[r] == 0 or model.radius[r, i] == ZERO:
+        return
+    for k in range(model.shapes.shape[1]):
+        known = model.shapes[r, k].moves == 0 and hidden[r, i] == ZERO
+        known = known and model.rolling[r] == ZERO and model.roll_friction[r, k] < ZERO
+        if is_fixture(model.shapes[r, k]) and not known:
+            c = edge_touch(model, dof, dof_before, wp.vec3d(), r, k, i)
+            if c.force > ZERO:
+                touching_out[r] = 1
+
+
+@wp.kernel
+def want_bristles(
+    # Model:
+    model: Touchable,
+    # State in:
+    step: OneStep,
+    # State in and out:
+    now: Wanted,
+    gradient: wp.array2d(dtype=wp.float64),
+    # Out:
+    block_out: wp.array2d(dtype=EdgeBlock),
+):
+    """What is wanted of the bristles at the step's end, of the nodes there; and the part that
+    touches have in residual and matrix. Launched over (rod, edge)."""
+    r, i = wp.tid()
+    if step.active[r] == 0:
+        return
+    block = EdgeBlock()
+    if model.radius[r, i] != ZERO:
+        for k in range(model.shapes.shape[1]):
+            c = edge_touch(model, step.dof, step.dof_before, step.edge_bristle[r, k, i], r, k, i)
+            if c.force > ZERO:
+                h = hold(model, step, c, r, k, i)
+                total = h.pull - h.force * c.near.normal
+                add_vector(gradient, r, 4 * i, (ONE - c.near.s) * total)
+                add_vector(gradient, r, 4 * i + 4, c.near.s * total)
+                for b in range(6):
+                    by = follow(h, b)
+                    for a in range(3):
+                        block[a, b] = block[a, b] + by.at_head[a]
+                        block[a + 3, b] = block[a + 3, b] + by.at_tail[a]
+                    wanted = wp.dot(now.edge_bristle[r, k, i], by.bristle)
+                    wp.atomic_add(now.dof, r, 4 * (i + b / 3) + b % 3, wanted)
+    block_out[r, i] = block
+
+
+@wp.func
+def wanted_of(c: Change, head: wp.vec3d, tail: wp.vec3d, after: wp.vec3d) -> wp.float64:
+    return wp.dot(after, c.bristle) - wp.dot(head, c.at_head) - wp.dot(tail, c.at_tail)
+
+
+@wp.kernel
+def want_friction(
+    # Model:
+    model: Touchable,
+    stiffness_per_mass: wp.array2d(dtype=wp.float64),
+    node_mass: wp.array2d(dtype=wp.float64),
+    piece: wp.array(dtype=wp.int32),
+    # State in:
+    step: OneStep,
+    now: Wanted,
+    x: wp.array3d(dtype=ALONE),
+    # State in and out:
+    before: Wanted,
+    by_coefficient: wp.array2d(dtype=wp.float64),
+    by: WantedModel,
+    by_piece: wp.array2d(dtype=wp.float64),
+):
+    """What is wanted of bristles and nodes at the step's start, of the coefficients (rod, shape),
+    and of masses, lengths and radii, with which contact goes as that with planes does;
+    `stiffness_per_mass` (rod, node) is stiffness over itself and the mass of the piece of the row,
+    if it goes with that. Launched over (rod, edge)."""
+    r, i = wp.tid()
+    if step.active[r] == 0 or model.radius[r, i] == ZERO:
+        return
+    head = solved(x, r, i)
+    tail = solved(x, r, i + 1)
+    mean_mass = HALF * (node_mass[r, i] + node_mass[r, i + 1])
+    for k in range(model.shapes.shape[1]):
+        bristle = wp.vec3d(ZERO, ZERO, ZERO)
+        c = edge_touch(model, step.dof, step.dof_before, step.edge_bristle[r, k, i], r, k, i)
+        if c.force > ZERO:
+            h = hold(model, step, c, r, k, i)
+            after = now.edge_bristle[r, k, i]
+            for b in range(6):
+                wanted = wanted_of(follow(h, AT_START + b), head, tail, after)
+                wp.atomic_add(before.dof, r, 4 * (i + b / 3) + b % 3, wanted)
+            for b in range(3):
+                bristle[b] = wanted_of(follow(h, BRISTLE + b), head, tail, after)
+            friction = wanted_of(follow(h, COEFFICIENT), head, tail, after)
+            wp.atomic_add(by_coefficient, r, k, friction)
+            by_stiffness = wanted_of(follow(h, STIFFNESS), head, tail, after)
+            damped = wanted_of(follow(h, RELAXATION), head, tail, after)
+            damped = HALF * model.relaxation[r, i] * damped
+            by_stiffness -= damped / h.stiffness
+            stiffened = h.stiffness * by_stiffness
+            share = stiffness_per_mass[r, i]
+            wp.atomic_add(by_piece, r, piece[i], share * stiffened)
+            radius = model.radius[r, i] * wanted_of(follow(h, RADIUS), head, tail, after)
+            if share > ZERO:
+                radius -= stiffened
+            length = SMOOTHING * wanted_of(follow(h, ROUNDING), head, tail, after)
+            length += stiffened / model.rest_length[r, i]
+            wp.atomic_add(by.rest_length, r, i, length)
+            for n in range(2):
+                wp.atomic_add(by.node_mass, r, i + n, damped / (TWO * mean_mass))
+                wp.atomic_add(by.radius, r, i + n, HALF * radius)
+        before.edge_bristle[r, k, i] = bristle
