@@ -185,18 +185,20 @@ def pressed(mass, substeps, frames=30, **options):
     return np.array(found)
 
 
-@pytest.mark.parametrize("mass", [1.4, 14.0])
-def test_heavy_bodies_of_other_solvers_press_no_cable_through_the_ground(mass):
-    """They lie on it, however heavy: 14 kg on cables of 23 g sank through them and the ground."""
+@pytest.mark.parametrize("mass", [0.02, 0.14, 1.4, 14.0])
+def test_bodies_of_other_solvers_lie_on_cables(mass):
+    """However heavy and however light: 14 kg on cables of 23 g sank through them and the ground,
+    and 0.14 kg were thrown off by damping that is a step late."""
     bottom, lowest = pressed(mass, substeps=4).T
     assert bottom.min() > 1.9 and lowest.min() > 0.93
-    assert bottom[-5:] == pytest.approx([1.946] * 5, abs=0.01)
+    assert bottom[3:].max() < 2.01
+    assert bottom[-5:] == pytest.approx([1.946 if mass > 1.0 else 1.96] * 5, abs=0.01)
 
 
 @pytest.mark.skipif(DEVICE != "cpu", reason="a GPU is not asked")
 def test_steps_that_shake_a_light_body_are_spoken_of():
     with pytest.warns(WrodWarning, match="gets their load a step late"):
-        pressed(0.14, substeps=4, frames=4)
+        pressed(0.14, substeps=2, frames=4)
 
 
 @pytest.mark.skipif(DEVICE != "cpu", reason="a GPU is not asked")

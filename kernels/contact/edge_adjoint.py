@@ -172,17 +172,17 @@ def find_unknown(
     touching_out: wp.array(dtype=wp.int32),
 ):
     """Say of the chosen rods whether they touch a solid in a way that has no adjoint: one that
-    moves, that turns them or keeps their roll, or that they come out of. Launched over (rod,
-    edge)."""
+    moves, that turns them or keeps their roll, that they come out of, or that is stiffer for what
+    presses. Launched over (rod, edge)."""
     r, i = wp.tid()
     if chosen[r] == 0 or model.radius[r, i] == ZERO:
         return
     for k in range(model.shapes.shape[1]):
         known = model.shapes[r, k].moves == 0 and hidden[r, i] == ZERO
         known = known and model.rolling[r] == ZERO and model.roll_friction[r, k] < ZERO
-        if is_fixture(model.shapes[r, k]) and not known:
+        if is_fixture(model.shapes[r, k]):
             c = edge_touch(model, dof, dof_before, wp.vec3d(), r, k, i)
-            if c.force > ZERO:
+            if c.force > ZERO and not (known and c.stiffness == model.stiffness[r, i]):
                 touching_out[r] = 1
 
 

@@ -27,9 +27,13 @@ from wrod.kernels.elastic.assembly import (
     add_row,
     add_vector,
 )
-from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
+
+# Longest relaxation over the step where a body gets the force a step late: damping that is late
+# drives.
+LATE = wp.constant(wp.float64(0.3))
 
 
 @wp.struct
@@ -58,10 +62,15 @@ def may_touch(m: Touchable, r: int, k: int, i: int) -> bool:
 
 @wp.func
 def edge_stiffness(m: Touchable, r: int, k: int, i: int) -> wp.float64:
-    """At least so much that what an edge is to bear goes in by two skins beyond half the first."""
-    if m.burden.shape[1] == 0:
-        return m.stiffness[r, i]
-    return wp.max(m.stiffness[r, i], HALF * m.burden[r, k] / m.skin[r, i])
+    """At most its share of what all edges may have; but at least so much that what an edge is to
+    bear goes in by two skins beyond half the first."""
+    out = wp.float64(m.stiffness[r, i])
+    if m.firmest.shape[1] > 0 and m.firmest[r, k] > ZERO:
+        edges = wp.max(m.near[m.bearer[r, k]], 1)
+        out = wp.min(out, m.firmest[r, k] / wp.float64(edges))
+    if m.burden.shape[1] > 0:
+        out = wp.max(out, HALF * m.burden[r, k] / m.skin[r, i])
+    return out
 
 
 @wp.func
@@ -132,7 +141,9 @@ def hold_edge(
     """`spun` is by how much the edge has turned in this step, `turned` its bristle before."""
     out = EdgeHold()
     # What is stiffer comes to rest sooner.
-    relaxation = m.relaxation[r, i] * wp.sqrt(m.stiffness[r, i] / c.stiffness)
+    relaxation = wp.float64(m.relaxation[r, i] * wp.sqrt(m.stiffness[r, i] / c.stiffness))
+    if m.firmest.shape[1] > 0 and m.firmest[r, k] > ZERO:
+        relaxation = wp.min(relaxation, LATE * dt)
     law = damped_force(c.depth, c.closing, relaxation, dt, c.stiffness, m.skin[r, i])
     out.force = law[0]
     out.slope = law[1]
@@ -279,6 +290,30 @@ def clear_pushes(
     if accepted[r] != 0:
         push_out[r, k] = wp.vec3d(ZERO, ZERO, ZERO)
         moment_out[r, k] = wp.vec3d(ZERO, ZERO, ZERO)
+
+
+@wp.kernel
+def count_near(
+    # State in:
+    dof: wp.array2d(dtype=wp.float64),
+    # Model, and out:
+    model: Touchable,
+):
+    """How many edges are within a radius of touching the bodies of which that matters. Launched
+    over (rod, edge)."""
+    r, i = wp.tid()
+    if model.radius[r, i] == ZERO:
+        return
+    q = node(dof, r, i)
+    e = node(dof, r, i + 1) - q
+    reach = TWO * wp.abs(model.radius[r, i])
+    for k in range(model.shapes.shape[1]):
+        shape = model.shapes[r, k]
+        matters = model.firmest[r, k] > ZERO and may_touch(model, r, k, i)
+        if matters and within_reach(shape, q, e, reach):
+            near = closest_on_edge(shape, q, e, SMOOTHING * model.rest_length[r, i])
+            if near.distance < reach:
+                wp.atomic_add(model.near, model.bearer[r, k], 1)
 
 
 @wp.kernel

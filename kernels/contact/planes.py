@@ -39,7 +39,9 @@ class Touchable:
     of radius 0 touches nothing), stiffness, skin, relaxation time; (rod,) 1 where friction turns
     the rod; and how friction varies over x and y, see `friction_factor`. Where shapes move with the
     rods: (rod, shape) weight that one edge is to bear, and (rod, shape, edge) 1 where an edge does
-    not touch a shape; otherwise empty."""
+    not touch a shape; otherwise empty. Where others move them by forces: (rod, shape) stiffness
+    that all edges may have on its body together (0: any), and which body, or empty; and (body,) how
+    many edges were near each."""
 
     shapes: wp.array2d(dtype=Shape)
     static_friction: wp.array2d(dtype=wp.float64)
@@ -54,6 +56,9 @@ class Touchable:
     field: wp.array2d(dtype=wp.float64)
     place: wp.vec4d
     burden: wp.array2d(dtype=wp.float64)
+    firmest: wp.array2d(dtype=wp.float64)
+    bearer: wp.array2d(dtype=wp.int32)
+    near: wp.array(dtype=wp.int32)
     apart: wp.array3d(dtype=wp.int8)
 
 

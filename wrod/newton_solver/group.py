@@ -107,7 +107,7 @@ class RodGroup:
         self.no_force = wp.zeros((count, nodes), dtype=wp.vec3d, device=device)
         self.held_position = wp.zeros(self.hold.shape, dtype=wp.vec3d, device=device)
         self.held_rotation = wp.zeros(self.hold.shape, dtype=wp.quatd, device=device)
-        self.duration, self.body_before, self.body_q = 1.0, *poses
+        self.duration, self.body_before, self.body_q = 0.0, *poses
 
     def _gravity(self) -> np.ndarray:
         gravity = self.model.gravity.numpy().astype(float)
@@ -179,6 +179,8 @@ class RodGroup:
             dynamics.forget_recording()
         if duration != self.duration:
             self.duration = duration
+            if self.shape_contact is not None:
+                self.shape_contact.pace(duration)
             dynamics.forget_recording()
         self._take_up(state_in)
         wp.launch(
@@ -188,6 +190,8 @@ class RodGroup:
             outputs=[self.held_position, self.held_rotation],
             device=self.device,
         )
+        if self.shape_contact is not None:
+            self.shape_contact.count_near(batch.state.dof)
         dynamics.advance_by(duration, step)
         wp.copy(self._diverged, dynamics.diverged)
         if self.rod_contact is not None:

@@ -14,7 +14,10 @@ from wrod.solvers.contact import Contact
 # Under its own weight a rod on a shape sinks in by this fraction of its radius.
 _SINKING = 1.0 / 600.0
 _STANDARD_GRAVITY = 9.81
-# Longest step over sqrt(m / k), k of one edge, with which what presses ten or so does not shake.
+# Rods are at most this stiff to a body that others move, over m / dt^2 of it: it gets their load a
+# step late, and firmer ones would throw it off.
+_FIRMEST = 0.6
+# Longest step over sqrt(m / k), k by which one edge is to bear it, that ten or so do not shake.
 _LONGEST = 0.3
 
 
@@ -60,15 +63,16 @@ class ShapeContact:
         self._place = wp.array(carriers.place, dtype=wp.vec3d, device=self._device)
         self._turn = wp.array(carriers.turn, dtype=wp.quatd, device=self._device)
         self._others_move = bool((carriers.body >= 0).any())
-        firmest = self.contact.firmest()
-        self._longest = np.where(
-            carriers.mass > 0, _LONGEST * np.sqrt(carriers.mass / firmest), np.inf
-        )
+        self._mass = carriers.mass
         self._carried: CarriedShapes | None = None
         # What is given holds for what others move.
         burden = np.where((carriers.slot < 0) & (stiffness is not None), 0.0, carriers.burden)
         if burden.any():
             self.contact.bear(burden)
+        bears = self.contact.bearing()
+        pressed = (carriers.mass > 0) & (burden > 0)
+        self._longest = np.full(bears.shape, np.inf)
+        self._longest[pressed] = _LONGEST * np.sqrt(carriers.mass[pressed] / bears[pressed])
         if bodies is not None and (carriers.slot >= 0).any():
             self._carry(bodies, carriers, layout, holds, radius)
 
@@ -83,6 +87,17 @@ class ShapeContact:
         deep = carried.overlaps(self.contact.table, radius)
         apart = layout.beside_holds(holds, carriers.slot, deep, radius)
         self.contact.carry(carried, apart)
+
+    def pace(self, duration: float) -> None:
+        """Steps of this duration come."""
+        if (self._mass > 0).any() and self.contact.solids is not None:
+            firmest = _FIRMEST * self._mass / duration**2
+            self.contact.solids.yield_to(self._body.numpy(), firmest)
+
+    def count_near(self, dof: wp.array) -> None:
+        """Find out how many edges are near bodies that others move."""
+        if self.contact.solids is not None:
+            self.contact.solids.count_near(dof)
 
     def shaken(self, duration: float) -> dict[int, float]:
         """Bodies that others move, which rods touch, and which steps of that duration shake: their

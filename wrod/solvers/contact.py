@@ -322,9 +322,9 @@ class Contact(OnDevice):
             outputs,
         )
 
-    def firmest(self) -> np.ndarray:
-        """(rod, shape) stiffness of the stiffest edge against each shape [force/length]."""
-        return self._edges.firmest()
+    def bearing(self) -> np.ndarray:
+        """(rod, shape) stiffness that an edge has for what it is to bear [force/length]."""
+        return self._edges.bearing()
 
     @property
     def tangent_stiffness(self) -> wp.array:

@@ -28,6 +28,7 @@ class EdgeContact:
         push, moment: (rod, shape) force on each shape at the end of the last step, and its moment
             about the origin.
         carried: shapes that move with the rods, or None.
+        yields: whether shapes are pressed gently (`yield_to`).
     """
 
     def __init__(self, batch: RodBatch, radius, stiffness, skin, nodes, damping):
@@ -63,6 +64,7 @@ class EdgeContact:
         self.moment = wp.zeros(table, dtype=wp.vec3d, device=device)
         self.turned = wp.zeros(shape, dtype=wp.float64, device=device)
         self.carried: CarriedShapes | None = None
+        self.yields = False
 
     def _launch(self, kernel, inputs, outputs) -> None:
         batch = self.batch
@@ -84,13 +86,30 @@ class EdgeContact:
         device = self.batch.device
         self._model.burden = wp.array(burden, dtype=wp.float64, device=device)
 
-    def firmest(self) -> np.ndarray:
-        """See `Contact.firmest`."""
+    def yield_to(self, bearer: np.ndarray, firmest: np.ndarray) -> None:
+        """Let shapes be pressed gently: `firmest` (rod, shape) is the stiffness that all edges may
+        have together on the `bearer` (rod, shape) of a shape [force/length], 0 for any."""
+        model, device = self._model, self.batch.device
+        if self.yields:
+            model.firmest.assign(firmest)
+            return
+        self.yields = True
+        model.firmest = wp.array(firmest, dtype=wp.float64, device=device)
+        model.bearer = wp.array(bearer, dtype=wp.int32, device=device)
+        model.near = wp.zeros(max(int(bearer.max()) + 1, 1), dtype=wp.int32, device=device)
+
+    def count_near(self, dof: wp.array) -> None:
+        """Find out how many edges share that stiffness from now on."""
+        if self.yields:
+            self._model.near.zero_()
+            self._launch(kernels.count_near, [dof], [self._model])
+
+    def bearing(self) -> np.ndarray:
+        """See `Contact.bearing`."""
         m = self._model
-        out = np.nanmax(m.stiffness.numpy(), axis=1, keepdims=True)
-        if m.burden is not None and m.burden.size:
-            out = np.maximum(out, 0.5 * m.burden.numpy() / m.skin.numpy().max(axis=1)[:, None])
-        return np.broadcast_to(out, m.shapes.shape)
+        if m.burden is None or not m.burden.size:
+            return np.zeros(m.shapes.shape)
+        return 0.5 * m.burden.numpy() / m.skin.numpy().max(axis=1)[:, None]
 
     def carry(self, carried: CarriedShapes, apart: np.ndarray) -> None:
         """Let shapes move with bodies: see `Contact.carry`.
