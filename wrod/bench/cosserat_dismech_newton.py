@@ -208,10 +208,9 @@ def _add_obstacle(builder: newton.ModelBuilder, obstacle) -> None:
     turn = wp.quat_between_vectors(wp.vec3(0.0, 0.0, 1.0), wp.vec3(*axis))
     if round_one:
         builder.add_shape_cylinder(
-            -1, wp.transform(obstacle.center, turn), radius=obstacle.radius,
+            -1, xform=wp.transform(obstacle.center, turn), radius=obstacle.radius,
             half_height=0.5 * obstacle.length, cfg=cfg,
         )  # fmt: skip
     else:
-        builder.add_shape_plane(
-            None, wp.transform(obstacle.point, turn), width=0.0, length=0.0, cfg=cfg
-        )
+        place = wp.transform(obstacle.point, turn)
+        builder.add_shape_plane(None, xform=place, width=0.0, length=0.0, cfg=cfg)
