@@ -5,6 +5,7 @@ way between two pieces.
 """
 
 import warp as wp
+from wrod.kernels.contact.duals import bristle_stiffness, next_dual
 from wrod.kernels.contact.planes import damped_force
 from wrod.kernels.contact.segments import (
     EDGE,
@@ -18,15 +19,9 @@ from wrod.kernels.contact.segments import (
     piece_weights,
 )
 from wrod.kernels.elastic.assembly import add_component, add_vector
-from wrod.kernels.elastic.frames import ONE, ZERO, node
+from wrod.kernels.elastic.frames import ONE, TWO, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
-
-
-# Which bristles hold any load: none, those that held before, all.
-SLIPPING = wp.constant(0)
-HELD = wp.constant(1)
-EVERY = wp.constant(2)
 
 
 @wp.struct
@@ -60,17 +55,15 @@ class Pieces:
 @wp.struct
 class Rubbing:
     """Friction in a step: (rod, piece, partner) bristles in the pair's own frame, loads that bound
-    them, and whether they slid in the last step; (rod,) which bristles hold any load. From
-    iteration to iteration: which way each slid, and 1 where that turned round, fading; (rod,)
-    whether some hold more than they can because of that."""
+    them, and whether they slid in the last step; (rod,) number of the present iteration. From
+    iteration to iteration: how each was stretched, and its dual (`wrod.kernels.contact.duals`)."""
 
     bristle: wp.array3d(dtype=wp.vec2d)
     load: wp.array3d(dtype=wp.float64)
     sliding: wp.array3d(dtype=wp.int32)
-    sticking: wp.array(dtype=wp.int32)
-    way: wp.array3d(dtype=wp.vec2d)
-    turned: wp.array3d(dtype=wp.float64)
-    overheld: wp.array(dtype=wp.int32)
+    iteration: wp.array(dtype=wp.int32)
+    stretch: wp.array3d(dtype=wp.vec2d)
+    dual: wp.array3d(dtype=wp.vec2d)
 
 
 @wp.struct
@@ -86,6 +79,8 @@ class Pair:
     pull: wp.vec3d
     tangential: wp.mat33d
     bristle: wp.vec2d
+    stretched: wp.vec2d
+    limit: wp.float64
     slid: wp.float64
 
 
@@ -189,20 +184,22 @@ def pair_contact(
     dt: wp.float64,
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
-    sticks: int,
+    begins: bool,
     r: int,
     i: int,
     j: int,
     k: int,
 ) -> Pair:
-    """Piece i and its partner k, piece j."""
+    """Piece i and its partner k, piece j. What rubs does so until its load is taken anew, also
+    apart; where a step `begins`, it is no softer than it was."""
     out = Pair()
     law = m.law[r]
     sliding = rubbing.sliding[r, i, k]
     near = nearest_of_edges(m, dof, r, i, j)
     out.near = near
     p = m.radius[r, i] + m.radius[r, j] - near.distance
-    if p > ZERO:
+    load = rubbing.load[r, i, k]
+    if p > ZERO or load > ZERO:
         # Centrelines that cross have no normal; the step is refused for its depth anyway.
         n = near.gap / wp.max(wp.length(near.gap), wp.float64(1.0e-12))
         out.normal = n
@@ -212,31 +209,42 @@ def pair_contact(
         normal = repulsion(law, p, -wp.dot(motion, n), dt)
         out.force = normal[0]
         out.slope = normal[1]
+        if begins:
+            pressed = wp.sqrt(TWO * load / (law.stiffness * law.skin))
+            out.slope = wp.max(out.slope, law.stiffness * wp.min(ONE, pressed))
         bristle = rubbing.bristle[r, i, k]
         b1 = bristle[0] + wp.dot(motion, e1)
         b2 = bristle[1] + wp.dot(motion, e2)
         stretch = b1 * e1 + b2 * e2
         size = wp.length(stretch)
         mu = wp.where(sliding != 0, law.kinetic_friction, law.static_friction)
-        limit = mu * rubbing.load[r, i, k] / law.tangential
-        out.tangential = law.tangential * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
-        out.bristle = wp.vec2d(b1, b2)
-        if size > limit or limit == ZERO:
-            # Also without friction, where the bristle never holds.
-            size = wp.max(size, wp.float64(1.0e-30))
+        limit = mu * load / law.tangential
+        out.limit = limit
+        dual = rubbing.dual[r, i, k]
+        w = dual[0] * e1 + dual[1] * e2
+        out.tangential = bristle_stiffness(stretch, w, n, law.tangential, limit)
+        out.stretched = wp.vec2d(b1, b2)
+        shrink = wp.float64(1.0)
+        if size > limit:
             out.slid = size - limit
-            turned = rubbing.turned[r, i, k]
-            holds = sticks == EVERY or (sticks == HELD and sliding == 0) or turned == ONE
-            if limit == ZERO or not holds:
-                shrink = limit / size
-                out.bristle = shrink * out.bristle
-                along = stretch / size
-                # What has turned round lately keeps a part of the secant's stiffness.
-                rest = (ONE - turned) * law.tangential
-                out.tangential = shrink * (out.tangential - rest * wp.outer(along, along))
-                stretch = shrink * stretch
+            shrink = limit / size
+        out.bristle = shrink * out.stretched
+        stretch = shrink * stretch
         out.pull = law.tangential * stretch
     return out
+
+
+@wp.func
+def note_stretch(rubbing: Rubbing, c: Pair, begins: bool, r: int, i: int, k: int):
+    """Bring the dual of a pair's friction to the present iteration; a step begins with that of the
+    last."""
+    none = wp.vec2d(ZERO, ZERO)
+    if begins:
+        rubbing.dual[r, i, k] = next_dual(none, none, rubbing.bristle[r, i, k], c.limit)
+    else:
+        before = rubbing.stretch[r, i, k]
+        rubbing.dual[r, i, k] = next_dual(rubbing.dual[r, i, k], before, c.stretched, c.limit)
+    rubbing.stretch[r, i, k] = c.stretched
 
 
 @wp.struct

@@ -14,6 +14,7 @@ kinetic one: within a step the law is fixed, and Newton converges.
 """
 
 import warp as wp
+from wrod.kernels.contact.duals import bristle_stiffness, next_dual
 from wrod.kernels.contact.shapes import PLANE, Shape, shape_displacement
 from wrod.kernels.elastic.assembly import (
     add_column,
@@ -232,12 +233,17 @@ def contact(
     dof_before: wp.array2d(dtype=wp.float64),
     bristle: wp.array3d(dtype=wp.vec3d),
     sliding: wp.array3d(dtype=wp.int32),
+    iteration: wp.array(dtype=wp.int32),
     # State in and out:
+    stretch: wp.array3d(dtype=wp.vec3d),
+    dual: wp.array3d(dtype=wp.vec3d),
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
 ):
     """Subtract contact forces from the residual and add their stiffness to the matrix, but for how
-    a sliding node's friction depends on its normal force, which would not be symmetric."""
+    a sliding node's friction depends on its normal force, which would not be symmetric. The dual of
+    friction (`wrod.kernels.contact.duals`) is taken along from `iteration` to iteration, and begins
+    with what the bristle held at the start of the step."""
     r, i = wp.tid()
     if active[r] == 0:
         return
@@ -248,11 +254,21 @@ def contact(
             mu = mu * friction_factor(model.field, model.place, node(dof, r, i))[0]
             law = present_force(model, c.depth, c.closing, step[r], r, i)
             n = c.normal
-            held = return_mapping(c.bristle, n, model.stiffness[r, i], mu * law[0])
+            stiffness = model.stiffness[r, i]
+            held = return_mapping(c.bristle, n, stiffness, mu * law[0])
+            limit = mu * law[0] / stiffness
+            w = wp.vec3d()
+            if iteration[r] == 0:
+                w = next_dual(w, w, bristle[r, k, i], limit)
+            else:
+                w = next_dual(dual[r, k, i], stretch[r, k, i], c.bristle, limit)
+            dual[r, k, i] = w
+            stretch[r, k, i] = c.bristle
+            tangential = bristle_stiffness(c.bristle, w, n, stiffness, limit)
             add_vector(gradient, r, 4 * i, held.pull - law[0] * n)
-            add_diagonal_block(hessian, r, 4 * i, held.tangential + law[1] * wp.outer(n, n))
+            add_diagonal_block(hessian, r, 4 * i, tangential + law[1] * wp.outer(n, n))
             if model.rolling[r] > ZERO:
-                add_spin(gradient, hessian, r, i, c.spin, held.pull, held.tangential)
+                add_spin(gradient, hessian, r, i, c.spin, held.pull, tangential)
 
 
 @wp.func

@@ -15,14 +15,13 @@ friction within a twentieth of mu times the load at its end.
 
 import warp as wp
 from wrod.kernels.contact.pair_contact import (
-    EVERY,
-    HELD,
-    SLIPPING,
+    Pair,
     Pieces,
     Rubbing,
     add_edge_force,
     edge_motion,
     nearest_of_edges,
+    note_stretch,
     pair_contact,
     relative_motion,
 )
@@ -33,14 +32,14 @@ from wrod.kernels.elastic.frames import ONE, ZERO, node
 wp.set_module_options({"enable_backward": False})
 
 
-# Share of the stiffness of what turned round that is left after an iteration in which it did not.
-FADING = wp.constant(wp.float64(0.25))
 # A load is out of date when it differs by more than this part; how often a step takes them anew.
 STALE = wp.constant(wp.float64(0.05))
 MOST_RENEWALS = wp.constant(2)
 # Residual over the tolerance from which on loads are taken anew: to come nearer to balance under
 # the old ones is in vain. Ten times less costs knots that are pulled a sixth more iterations, ten
 # times more a tenth.
+# A depth that is none.
+TINY = wp.constant(wp.float64(1.0e-300))
 NEARLY = wp.constant(wp.float64(1000.0))
 
 
@@ -77,6 +76,28 @@ def meets_fast(
     return -dt * wp.dot(apart, near.gap) > FIRST_WAY * reach * near.distance
 
 
+@wp.func
+def add_pair_force(
+    m: Pieces,
+    c: Pair,
+    pressure: wp.float64,
+    pull: wp.vec3d,
+    r: int,
+    i: int,
+    j: int,
+    gradient: wp.array2d(dtype=wp.float64),
+):
+    """Gradient of a pair's force per distance along its gap, and of a pull on its first surface."""
+    turn = pressure * c.near.small
+    push = pressure * c.near.gap
+    kind = m.kind[r, i]
+    move = edge_motion(kind, c.near.first, c.near.s, -m.radius[r, i], c.normal)
+    add_edge_force(gradient, kind, r, i, push, turn * c.near.first_turn, move, pull)
+    kind = m.kind[r, j]
+    move = edge_motion(kind, c.near.second, c.near.t, m.radius[r, j], c.normal)
+    add_edge_force(gradient, kind, r, j, -push, turn * c.near.second_turn, move, -pull)
+
+
 @wp.kernel
 def rod_contact(
     # Model:
@@ -95,47 +116,30 @@ def rod_contact(
     gradient: wp.array2d(dtype=wp.float64),
     # State out:
     depth_out: wp.array3d(dtype=wp.float64),
-    overloaded_out: wp.array(dtype=wp.int32),
     renewed_out: wp.array(dtype=wp.int32),
 ):
     """Subtract the forces of every touching pair from the residual, and note how deep it is.
 
-    While a rod is `sticking`, at the first iteration of a step, bristles hold any load: those that
-    held before, or all; and `renewed` is 2 where a pair meets too fast where the step begins.
+    `renewed` is 2 where a pair meets too fast where the step begins.
     """
     r, i = wp.tid()
     if active[r] == 0:
         return
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
-        sticks = rubbing.sticking[r]
-        rubbing.turned[r, i, k] = FADING * rubbing.turned[r, i, k]
-        c = pair_contact(m, rubbing, step[r], dof, dof_before, sticks, r, i, j, k)
-        depth_out[r, i, k] = m.radius[r, i] + m.radius[r, j] - c.near.distance
-        if c.slid > ZERO and wp.length(c.bristle) > ZERO:
-            way = wp.normalize(c.bristle)
-            if wp.dot(way, rubbing.way[r, i, k]) < ZERO:
-                # Newton would throw from side to side what slides to and fro: in between it sticks.
-                rubbing.turned[r, i, k] = ONE
-                rubbing.overheld[r] = 1
-                c = pair_contact(m, rubbing, step[r], dof, dof_before, sticks, r, i, j, k)
-            rubbing.way[r, i, k] = way
-        if c.force > ZERO:
-            load = rubbing.load[r, i, k]
-            if c.slid > ZERO and load > ZERO:
-                overloaded_out[r] = 1
-            meets = load == ZERO and sticks != SLIPPING
-            if meets and meets_fast(m, c.near, step[r], reach[r], velocity, r, i, j):
+        begins = rubbing.iteration[r] == 0
+        c = pair_contact(m, rubbing, step[r], dof, dof_before, begins, r, i, j, k)
+        load = rubbing.load[r, i, k]
+        depth = m.radius[r, i] + m.radius[r, j] - c.near.distance
+        if load > ZERO:
+            depth = wp.max(depth, TINY)  # it rubs
+        depth_out[r, i, k] = depth
+        if c.force > ZERO or load > ZERO:
+            if load > ZERO:
+                note_stretch(rubbing, c, begins, r, i, k)
+            elif begins and meets_fast(m, c.near, step[r], reach[r], velocity, r, i, j):
                 wp.atomic_max(renewed_out, r, 2)
-            pressure = -c.force / c.near.distance
-            turn = pressure * c.near.small
-            push = pressure * c.near.gap
-            kind = m.kind[r, i]
-            move = edge_motion(kind, c.near.first, c.near.s, -m.radius[r, i], c.normal)
-            add_edge_force(gradient, kind, r, i, push, turn * c.near.first_turn, move, c.pull)
-            kind = m.kind[r, j]
-            move = edge_motion(kind, c.near.second, c.near.t, m.radius[r, j], c.normal)
-            add_edge_force(gradient, kind, r, j, -push, turn * c.near.second_turn, move, -c.pull)
+            add_pair_force(m, c, -c.force / c.near.distance, c.pull, r, i, j, gradient)
 
 
 @wp.kernel
@@ -174,13 +178,15 @@ def hold_loads(
     starting: wp.array(dtype=wp.int32),
     load: wp.array3d(dtype=wp.float64),
     rubbing: Rubbing,
+    renewals_out: wp.array(dtype=wp.int32),
 ):
     """A step begins with the loads of the last, and nothing slides yet."""
     r, i, k = wp.tid()
     if starting[r] != 0:
+        renewals_out[r] = 0
         rubbing.load[r, i, k] = load[r, i, k]
-        rubbing.way[r, i, k] = wp.vec2d(ZERO, ZERO)
-        rubbing.turned[r, i, k] = ZERO
+        rubbing.dual[r, i, k] = wp.vec2d(ZERO, ZERO)
+        rubbing.stretch[r, i, k] = wp.vec2d(ZERO, ZERO)
 
 
 @wp.kernel
@@ -203,6 +209,7 @@ def renew_loads(
     depth: wp.array3d(dtype=wp.float64),
     # State in and out:
     rubbing: Rubbing,
+    gradient: wp.array2d(dtype=wp.float64),
     # State out:
     renewed_out: wp.array(dtype=wp.int32),
 ):
@@ -212,7 +219,7 @@ def renew_loads(
     r, i = wp.tid()
     renews = renewals[r] < MOST_RENEWALS
     if converged[r] == 0:
-        if not renews or active[r] == 0 or rubbing.sticking[r] != 0:
+        if not renews or active[r] == 0:
             return
         if residual[r] > NEARLY * tolerance[r]:
             return
@@ -227,33 +234,18 @@ def renew_loads(
             continue
         if not renews:
             continue
-        c = pair_contact(m, rubbing, step[r], dof, dof_before, SLIPPING, r, i, j, k)
-        if c.force > ZERO and wp.abs(c.force - old) > STALE * wp.max(c.force, old):
+        c = pair_contact(m, rubbing, step[r], dof, dof_before, False, r, i, j, k)
+        if wp.abs(c.force - old) > STALE * wp.max(c.force, old):
             slides = rubbing.sliding[r, i, k] != 0
             mu = wp.where(slides, m.law[r].kinetic_friction, m.law[r].static_friction)
-            wanted = wp.length(c.pull) + m.law[r].tangential * c.slid
+            wanted = m.law[r].tangential * wp.length(c.stretched)
             if mu > ZERO and wanted > mu * wp.min(c.force, old):
                 rubbing.load[r, i, k] = c.force
                 wp.atomic_max(renewed_out, r, 1)
-
-
-@wp.kernel
-def begin_sticking(
-    starting: wp.array(dtype=wp.int32),
-    rejected: wp.array(dtype=wp.int32),
-    sticking_out: wp.array(dtype=wp.int32),
-    overloaded_out: wp.array(dtype=wp.int32),
-    renewals_out: wp.array(dtype=wp.int32),
-):
-    """The first iteration of a step takes bristles that held to hold any load, as an elastic
-    predictor: Newton then meets the kink of Coulomb's law from the side of the solution. When a
-    step has failed, also those that slid, and loads stay those of the last step: a shorter one
-    changes them less."""
-    r = wp.tid()
-    if starting[r] != 0:
-        sticking_out[r] = wp.where(rejected[r] != 0, EVERY, HELD)
-        overloaded_out[r] = 0
-        renewals_out[r] = wp.where(rejected[r] != 0, MOST_RENEWALS, 0)
+                pull = -c.pull
+                c = pair_contact(m, rubbing, step[r], dof, dof_before, False, r, i, j, k)
+                pull += c.pull
+                add_pair_force(m, c, ZERO, pull, r, i, j, gradient)
 
 
 @wp.kernel
@@ -292,8 +284,8 @@ def settle_friction(
         return
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
-        c = pair_contact(m, rubbing, step[r], dof, dof_before, SLIPPING, r, i, j, k)
-        rubbing.bristle[r, i, k] = c.bristle
+        c = pair_contact(m, rubbing, step[r], dof, dof_before, False, r, i, j, k)
+        rubbing.bristle[r, i, k] = wp.where(c.force > ZERO, ONE, ZERO) * c.bristle
         load[r, i, k] = c.force
         rubbing.sliding[r, i, k] = 0
         if c.force > ZERO:

@@ -2,22 +2,12 @@
 
 import warp as wp
 from wrod.kernels.elastic.frames import ONE, ZERO, node
-from wrod.kernels.lanes import (
-    count_of_lanes,
-    count_of_lanes_before,
-    largest_of_lanes,
-    sum_of_lanes,
-)
+from wrod.kernels.lanes import count_of_lanes, count_of_lanes_before, largest_of_lanes
 
 wp.set_module_options({"enable_backward": False})
 
 # Part of the way that nodes may move in a step which they do by their present speed.
 WAY = wp.constant(wp.float64(0.95))
-# Steps are not compared where the square of one is this much larger than that of the last; how much
-# longer and shorter mixing them makes a step at most.
-MOST_GROWTH = wp.constant(wp.float64(2.0))
-LONGEST_MIX = wp.constant(wp.float64(1.0))
-SHORTEST_MIX = wp.constant(wp.float64(0.6))
 
 
 @wp.kernel
@@ -102,64 +92,22 @@ def bound_steps(
         wanted_step[r] = WAY * reach[r] / fastest
 
 
-@wp.func
-def size_of(limit: wp.float64, a: int) -> wp.float64:
-    """What squares of changes of a degree of freedom are measured in: angles by radii."""
-    return wp.where(a % 4 == 3, wp.float64(4.0) * limit * limit, ONE)
-
-
 @wp.kernel
 def limit_motion(
     # Model:
     limit: wp.array(dtype=wp.float64),
-    accelerates: int,
     # State in:
     overflow: wp.array(dtype=wp.int32),
     active: wp.array(dtype=wp.int32),
     # State in and out:
     x: wp.array3d(dtype=wp.float64),
-    solved: wp.array2d(dtype=wp.float64),
-    moved: wp.array2d(dtype=wp.float64),
-    sticking: wp.array(dtype=wp.int32),
-    compares: wp.array(dtype=wp.int32),
     # State out:
     shortened_out: wp.array(dtype=wp.float64),
 ):
-    """Mix a Newton step with the last one, and shorten one that moves some node by more than
-    `limit`.
-
-    The mixture is Anderson's of depth one: what two steps have in common, the part of the matrix
-    that is left out, or a bristle that is thrown to and fro, is found by where their difference
-    vanishes.
-    """
+    """Shorten a Newton step that moves some node by more than `limit`."""
     r, lane = wp.tid()
     if active[r] == 0:
         return
-    first = sticking[r] != 0
-    comparable = accelerates != 0 and compares[r] != 0 and not first
-    ratio = wp.float64(0.0)
-    if comparable:
-        along = wp.float64(0.0)
-        across = wp.float64(0.0)
-        now = wp.float64(0.0)
-        before = wp.float64(0.0)
-        for a in range(lane, x.shape[2], wp.block_dim()):
-            w = size_of(limit[r], a)
-            d = x[r, 0, a] - solved[r, a]
-            along += w * x[r, 0, a] * d
-            across += w * d * d
-            now += w * x[r, 0, a] * x[r, 0, a]
-            before += w * solved[r, a] * solved[r, a]
-        along = sum_of_lanes(along)
-        across = sum_of_lanes(across)
-        now = sum_of_lanes(now)
-        before = sum_of_lanes(before)
-        if now < MOST_GROWTH * before and across > ZERO:
-            ratio = wp.clamp(along / across, -LONGEST_MIX, SHORTEST_MIX)
-    for a in range(lane, x.shape[2], wp.block_dim()):
-        d = wp.float64(x[r, 0, a])
-        x[r, 0, a] = d - ratio * (moved[r, a] + d - solved[r, a])
-        solved[r, a] = d
     largest = wp.float64(0.0)
     for v in range(lane, (x.shape[2] + 1) // 4, wp.block_dim()):
         move = wp.vec3d(x[r, 0, 4 * v], x[r, 0, 4 * v + 1], x[r, 0, 4 * v + 2])
@@ -170,11 +118,8 @@ def limit_motion(
         fraction = ZERO  # nothing was solved
     if lane == 0:
         shortened_out[r] = fraction
-        compares[r] = wp.where(first, 0, 1)
-        sticking[r] = 0
     for a in range(lane, x.shape[2], wp.block_dim()):
         x[r, 0, a] = x[r, 0, a] * fraction
-        moved[r, a] = x[r, 0, a]
 
 
 @wp.kernel
@@ -189,10 +134,7 @@ def refuse_large_steps(
     partner: wp.array3d(dtype=wp.int32),
     depth: wp.array3d(dtype=wp.float64),
     overflow: wp.array(dtype=wp.int32),
-    sticking: wp.array(dtype=wp.int32),
-    overloaded: wp.array(dtype=wp.int32),
     # State in and out:
-    overheld: wp.array(dtype=wp.int32),
     renewed: wp.array(dtype=wp.int32),
     renewals: wp.array(dtype=wp.int32),
     converged: wp.array(dtype=wp.int32),
@@ -202,10 +144,7 @@ def refuse_large_steps(
     lists of partners were made, and no pair is deeper than half a radius: then centrelines that
     were apart cannot have crossed. Nor does one in which a pair met too fast (2 in `renewed`)."""
     r, lane = wp.tid()
-    held = overheld[r] != 0
     if converged[r] == 0:
-        if lane == 0:
-            overheld[r] = 0
         if lane == 0 and renewed[r] != 0:
             if renewed[r] == 2:
                 active[r] = 0  # before more is done for a step that cannot stand
@@ -227,14 +166,12 @@ def refuse_large_steps(
     stale = renewed[r] == 1
     fast = renewed[r] == 2
     renewed[r] = 0
-    overheld[r] = 0
     if stale:
         renewals[r] = renewals[r] + 1
     if fast:
         converged[r] = 0
-    elif stale or held or (sticking[r] != 0 and overloaded[r] != 0):
-        # In balance only under loads of before, or with bristles that hold more than they can:
-        # iterate.
+    elif stale:
+        # In balance only under loads of before: iterate.
         converged[r] = 0
         active[r] = 1
     elif bad > 0 or overflow[r] != 0:

@@ -14,7 +14,7 @@ nodes each: the last is empty for edges.
 import warp as wp
 from wrod.kernels.contact.pair_contact import Pair, Pieces, Rubbing
 from wrod.kernels.contact.segments import piece_size
-from wrod.kernels.elastic.frames import ONE, ZERO
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 from wrod.kernels.linear.banded_lanes import solve_rod
 from wrod.kernels.linear.coupling import free_of, pair_matrix, share
 from wrod.kernels.linear.dense_lanes import TILE
@@ -27,11 +27,16 @@ TILE_SIZE = wp.constant(TILE)
 
 @wp.func
 def stiffness_root(c: Pair) -> wp.mat33d:
-    """Root of normal and tangential stiffness, of which the latter is a multiple of a projector."""
-    out = wp.sqrt(wp.max(c.slope, ZERO)) * wp.outer(c.normal, c.normal)
+    """Root of normal and tangential stiffness."""
+    n = c.normal
+    out = wp.sqrt(wp.max(c.slope, ZERO)) * wp.outer(n, n)
     trace = wp.trace(c.tangential)
     if trace > ZERO:
-        out = out + c.tangential / wp.sqrt(wp.ddot(c.tangential, c.tangential) / trace)
+        # By Cayley and Hamilton, in the plane of contact.
+        double = wp.max(trace * trace - wp.ddot(c.tangential, c.tangential), ZERO)
+        root = wp.sqrt(HALF * double)
+        plane = wp.identity(3, dtype=wp.float64) - wp.outer(n, n)
+        out = out + (c.tangential + root * plane) / wp.sqrt(trace + TWO * root)
     return out
 
 

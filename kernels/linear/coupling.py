@@ -232,9 +232,10 @@ def pair_matrix(
     """It turns with at most the force of the last step: that of a predictor which is deep inside
     would make the matrix indefinite and lead Newton astray."""
     out = PairMatrix()
-    sticks = rubbing.sticking[r]
+    # The number of an iteration rises before its matrix is made.
+    begins = rubbing.iteration[r] <= 2
     load = rubbing.load[r, pair[0], pair[2]]
-    c = pair_contact(m, rubbing, dt, dof, dof_before, sticks, r, pair[0], pair[1], pair[2])
+    c = pair_contact(m, rubbing, dt, dof, dof_before, begins, r, pair[0], pair[1], pair[2])
     out.pair = c
     out.held = wp.min(c.force, load)
     ss = c.near.ss

@@ -145,6 +145,10 @@ class Contact(OnDevice):
         per_shape = (rods, shapes.shape[1], nodes)
         self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
         self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
+        self._stretch, self._dual = (
+            wp.zeros(per_shape, dtype=wp.vec3d, device=device) for _ in range(2)
+        )
+        self.iteration = wp.zeros(rods, dtype=wp.int32, device=device)
         self._turned = wp.zeros(per_shape, dtype=wp.float64, device=device)
         self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
         self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
@@ -291,8 +295,9 @@ class Contact(OnDevice):
         self.batch.launch(
             kernels.contact,
             (self.batch.rod_count, self.batch.node_count),
-            [self._model, self.time_step, active, dof, dof_before] + [self._bristle, self._sliding],
-            [out.gradient, out.hessian],
+            [self._model, self.time_step, active, dof, dof_before]
+            + [self._bristle, self._sliding, self.iteration],
+            [self._stretch, self._dual, out.gradient, out.hessian],
         )
         if self._has_fixtures:
             self._edges.add(self.time_step, active, dof, dof_before)

@@ -33,9 +33,6 @@ class PairedSystem(BandedSystem):
             wp.zeros(rods, dtype=wp.int32, device=device) for _ in range(4)
         )
         self.touching = wp.zeros((rods, pairs), dtype=wp.vec3i, device=device)
-        self.accelerates = True
-        self._solved, self._moved = (wp.zeros_like(batch.state.dof) for _ in range(2))
-        self._compares = wp.zeros(rods, dtype=wp.int32, device=device)
 
     def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:
         self._factorise_and_solve(gradient, hessian, active)
@@ -81,8 +78,8 @@ class PairedSystem(BandedSystem):
         contact = self.contact
         self.batch.launch_lanes(
             touching.limit_motion,
-            [contact.reach, int(self.accelerates), contact.overflow, active],
-            [self.x, self._solved, self._moved, contact.sticking, self._compares, self.shortened],
+            [contact.reach, contact.overflow, active],
+            [self.x, self.shortened],
         )
 
 

@@ -141,7 +141,6 @@ class Dynamics(NewtonSteps):
         columns = 1 if bodies is None else 1 + bodies.columns
         if coupling:
             self.system = paired_system(coupling[0], columns)
-            self.system.accelerates = bodies is None
         else:
             self.system = BandedSystem(batch, columns)
 
@@ -165,10 +164,11 @@ class Dynamics(NewtonSteps):
         rounding = rounding_of(batch, self.length_scale.numpy(), self.force_scale.numpy())
         self.rounding = wp.array(rounding, dtype=wp.vec2d, device=device)
         for one in self.contacts:
-            one.time_step = self.span
+            one.time_step, one.iteration = self.span, self.iteration
         if self.rod_contact is not None:
             self.rod_contact.balance = (self.residual, self.step_tolerance)
             self.rod_contact.velocity = self.velocity
+            self.rod_contact.rubbing.iteration = self.iteration
         # Rounds since last asked; whether to take another, and whether any rod still runs, starts
         # a step, iterates on, has ended a step.
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)

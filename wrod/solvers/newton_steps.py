@@ -101,7 +101,7 @@ class NewtonSteps(Steps):
         self.viscosity.begin(self.starting, self.coefficient, self.span)
         self.internal.begin(self.starting, self.span)
         if self.rod_contact is not None:
-            self.rod_contact.prepare(self.starting, self.rejected, self.start.dof)
+            self.rod_contact.prepare(self.starting, self.start.dof)
         if self.motion is not None:
             self.motion.prescribe(self.starting, self.time, self.span, self.start)
         if self.bodies is not None:

@@ -155,13 +155,10 @@ class RodContact(OnDevice):
         self.depth, self.load, self.held_load, self._new_load = (
             zeros(wp.float64, edges, partners) for _ in range(4)
         )
-        self.overflow, self.sticking, self._overloaded, self._renewed, self._renewals = (
-            zeros(wp.int32) for _ in range(5)
-        )
+        self.overflow, self._renewed, self._renewals = (zeros(wp.int32) for _ in range(3))
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
         self.rubbing = pair_contact.Rubbing()
-        self.rubbing.overheld = zeros(wp.int32)
-        self._share_friction(zeros(wp.vec2d, edges, partners), zeros(wp.float64, edges, partners))
+        self._share_friction(zeros(wp.int32), zeros(wp.vec2d, edges, partners))
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
         self.balance = (floats(np.full(rods, np.inf)), floats(np.zeros(rods)))
@@ -169,12 +166,12 @@ class RodContact(OnDevice):
         self.configuration: tuple[wp.array, ...] = ()
         self._check_start()
 
-    def _share_friction(self, way: wp.array, turned: wp.array) -> None:
+    def _share_friction(self, iteration: wp.array, dual: wp.array) -> None:
         """What kernels know of friction."""
         rubbing = self.rubbing
         rubbing.bristle, rubbing.load = self.bristle, self.held_load
-        rubbing.sliding, rubbing.sticking = self.sliding, self.sticking
-        rubbing.way, rubbing.turned = way, turned
+        rubbing.sliding, rubbing.iteration = self.sliding, iteration
+        rubbing.stretch, rubbing.dual = wp.zeros_like(dual), dual
 
     def bound_steps(self, starting: wp.array, wanted: wp.array) -> None:
         """Shorten the `wanted` steps (rod,) that start now to what may stand."""
@@ -182,16 +179,9 @@ class RodContact(OnDevice):
             touching.bound_steps, [self.reach, starting, self.velocity], [wanted]
         )
 
-    def prepare(self, starting: wp.array, rejected: wp.array, dof: wp.array) -> None:
-        """List the pairs that may touch in a step that starts at `dof`, for the first time or
-        because the last trial was rejected."""
+    def prepare(self, starting: wp.array, dof: wp.array) -> None:
+        """List the pairs that may touch in a step that starts at `dof`."""
         batch = self.batch
-        batch.launch(
-            kernels.begin_sticking,
-            batch.rod_count,
-            [starting, rejected],
-            [self.sticking, self._overloaded, self._renewals],
-        )
         batch.launch(
             contact_pairs.bound_groups,
             self._lower.shape,
@@ -223,7 +213,12 @@ class RodContact(OnDevice):
             ],
             [self.overflow],
         )
-        batch.launch(kernels.hold_loads, self.load.shape, [starting, self.load], [self.rubbing])
+        batch.launch(
+            kernels.hold_loads,
+            self.load.shape,
+            [starting, self.load],
+            [self.rubbing, self._renewals],
+        )
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces at `dof` to the batch's gradient; their stiffness is for `CoupledSystem`."""
@@ -233,7 +228,7 @@ class RodContact(OnDevice):
             self.partner_count.shape,
             [self.pieces, self.reach, self.time_step, active, dof, dof_before]
             + [self.partner_count, self.partner, self.rubbing, self.velocity],
-            [self.batch.derivatives.gradient, self.depth, self._overloaded, self._renewed],
+            [self.batch.derivatives.gradient, self.depth, self._renewed],
         )
 
     def restart(self, chosen: wp.array) -> None:
@@ -253,7 +248,7 @@ class RodContact(OnDevice):
             [self.pieces, self.reach, self.time_step, converged, active, *self.balance]
             + [self._renewals, dof, dof_before, self.velocity]
             + [self.partner_count, self.partner, self.depth],
-            [self.rubbing, self._renewed],
+            [self.rubbing, self.batch.derivatives.gradient, self._renewed],
         )
         self.batch.launch_lanes(
             touching.refuse_large_steps,
@@ -266,9 +261,6 @@ class RodContact(OnDevice):
                 self.partner,
                 self.depth,
                 self.overflow,
-                self.sticking,
-                self._overloaded,
-                self.rubbing.overheld,
                 self._renewed,
                 self._renewals,
             ],
@@ -301,8 +293,7 @@ class RodContact(OnDevice):
 
     def _check_start(self) -> None:
         batch = self.batch
-        none = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
-        self.prepare(batch.every_rod, none, batch.state.dof)
+        self.prepare(batch.every_rod, batch.state.dof)
         self.add(batch.every_rod, batch.state.dof, batch.state.dof)
         self.check_capacity()
         r, i, k = np.unravel_index(self.depth.numpy().argmax(), self.depth.shape)
