@@ -243,7 +243,7 @@ def contact(
     """Subtract contact forces from the residual and add their stiffness to the matrix, but for how
     a sliding node's friction depends on its normal force, which would not be symmetric. The dual of
     friction (`wrod.kernels.contact.duals`) is taken along from `iteration` to iteration, and begins
-    with what the bristle held at the start of the step."""
+    with what the bristle held at the start of the step; below 0 the matrix is of the end of one."""
     r, i = wp.tid()
     if active[r] == 0:
         return
@@ -258,12 +258,23 @@ def contact(
             held = return_mapping(c.bristle, n, stiffness, mu * law[0])
             limit = mu * law[0] / stiffness
             w = wp.vec3d()
-            if iteration[r] == 0:
-                w = next_dual(w, w, bristle[r, k, i], limit)
+            if iteration[r] < 0:
+                w = next_dual(w, w, c.bristle, limit)
             else:
-                w = next_dual(dual[r, k, i], stretch[r, k, i], c.bristle, limit)
-            dual[r, k, i] = w
-            stretch[r, k, i] = c.bristle
+                # What holds has its dual by its stretch alone: of most nodes nothing is written.
+                before = stretch[r, k, i]
+                slid = wp.length_sq(before) > ZERO
+                if iteration[r] == 0:
+                    w = next_dual(w, w, bristle[r, k, i], limit)
+                else:
+                    if slid:
+                        w = dual[r, k, i]
+                    w = next_dual(w, before, c.bristle, limit)
+                if held.slides > ZERO:
+                    dual[r, k, i] = w
+                    stretch[r, k, i] = c.bristle
+                elif slid:
+                    stretch[r, k, i] = wp.vec3d()
             tangential = bristle_stiffness(c.bristle, w, n, stiffness, limit)
             add_vector(gradient, r, 4 * i, held.pull - law[0] * n)
             add_diagonal_block(hessian, r, 4 * i, tangential + law[1] * wp.outer(n, n))

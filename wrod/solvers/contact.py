@@ -84,6 +84,10 @@ class Contact(OnDevice):
     Attributes:
         time_step: (rod,) duration of the present step, for what depends on rates; a `Dynamics` says
             it, without one rates are 0.
+        iteration: (rod,) number of the present one of Newton's method; a `Dynamics` says it, below
+            0 the matrix is that of a state where none follows.
+        duals: (rod, shape, node) how bristles were stretched in the last iteration, and their duals
+            (`wrod.kernels.contact.duals`).
         force: (rod, node) force on each node at the end of the last step.
         slip: (rod, node) distance that each node has slid in all [length].
         holds_roll: whether the roll of any rod is kept.
@@ -145,10 +149,8 @@ class Contact(OnDevice):
         per_shape = (rods, shapes.shape[1], nodes)
         self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
         self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
-        self._stretch, self._dual = (
-            wp.zeros(per_shape, dtype=wp.vec3d, device=device) for _ in range(2)
-        )
-        self.iteration = wp.zeros(rods, dtype=wp.int32, device=device)
+        self.duals = tuple(wp.zeros(per_shape, dtype=wp.vec3d, device=device) for _ in range(2))
+        self.iteration = wp.full(rods, -1, dtype=wp.int32, device=device)
         self._turned = wp.zeros(per_shape, dtype=wp.float64, device=device)
         self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
         self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
@@ -297,7 +299,7 @@ class Contact(OnDevice):
             (self.batch.rod_count, self.batch.node_count),
             [self._model, self.time_step, active, dof, dof_before]
             + [self._bristle, self._sliding, self.iteration],
-            [self._stretch, self._dual, out.gradient, out.hessian],
+            [*self.duals, out.gradient, out.hessian],
         )
         if self._has_fixtures:
             self._edges.add(self.time_step, active, dof, dof_before)
