@@ -15,13 +15,13 @@ from wrod.telling import asked, flag
 force_option = flag("force", "Begin although it needs more than this machine has.")
 # Of one core of a server's processor; docs/measured.md has them.
 GRASPS_PER_SECOND, SENSITIVITIES_COST, NODE_STEP = 2000.0, 3.0, 2.3e-5
-APPLICATION = {"S cable": 25.0, "U cable": 15.0, "trefoil": 8.0, "reef": 68.0}
+APPLICATION = {"S cable": 25.0, "U cable": 15.0, "trefoil": 6.0, "reef": 35.0}
 EQUILIBRIUM, BOUNDARY = 4e-3, 0.8
 IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
 # A plan of a random pattern, corrected for its table.
 CORRECTED_PLAN = 15.0
 # A recording of motion identified, a joint path with approach and retreat, a plan, a bend pulled.
-RECORDING, JOINT_PATH, PLAN, BEND = 7.0, 12.0, 0.5, 90.0
+RECORDING, JOINT_PATH, PLAN, BEND = 7.0, 12.0, 0.5, 50.0
 # A row of `wrod bench newton` beside an edge in an iteration of Newton's cable; its scenes of
 # bodies, and of many worlds and of a pile, for each edge; what hangs in a hand, and what loops do.
 NEWTON_ROW, VBD_EDGE, NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 5.0, 8e-7, 85.0, 1e-3, 1e-3
