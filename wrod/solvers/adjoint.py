@@ -105,7 +105,6 @@ class StepAdjoint:
         )
         self._spin_inertia, self._wanted = floats(nodes - 1), floats(dofs)
         self._know_contact(stiffness_of_mass)
-        self._ended = wp.full(batch.rod_count, -1, dtype=wp.int32, device=batch.device)
         self._past = None if batch.inelastic is None else FlowAdjoint(batch)
         skew, rate = floats(0), floats(0, 0, dtype=wp.vec2d)
         if self._past is not None:
@@ -304,7 +303,7 @@ class StepAdjoint:
             planes.contact,
             shape,
             [model, step.span, step.active, step.dof, step.dof_before, step.bristle, step.sliding]
-            + [self._ended],
+            + [self._planes.ended],
             [*self._planes.duals, self._at.gradient, self._at.hessian],
         )
         batch.launch(plane_adjoint.want_bristles, shape, [model, step], [self.now, self._coupling])

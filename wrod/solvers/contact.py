@@ -84,8 +84,8 @@ class Contact(OnDevice):
     Attributes:
         time_step: (rod,) duration of the present step, for what depends on rates; a `Dynamics` says
             it, without one rates are 0.
-        iteration: (rod,) number of the present one of Newton's method; a `Dynamics` says it, below
-            0 the matrix is that of a state where none follows.
+        iteration: (rod,) number of the present one of Newton's method; a `Dynamics` says it. By
+            default `ended`, -1 all: the matrix is that of a state where none follows.
         duals: (rod, shape, node) how bristles were stretched in the last iteration, and their duals
             (`wrod.kernels.contact.duals`).
         force: (rod, node) force on each node at the end of the last step.
@@ -150,7 +150,7 @@ class Contact(OnDevice):
         self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
         self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
         self.duals = tuple(wp.zeros(per_shape, dtype=wp.vec3d, device=device) for _ in range(2))
-        self.iteration = wp.full(rods, -1, dtype=wp.int32, device=device)
+        self.ended = self.iteration = wp.full(rods, -1, dtype=wp.int32, device=device)
         self._turned = wp.zeros(per_shape, dtype=wp.float64, device=device)
         self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
         self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
