@@ -21,7 +21,7 @@ _PAIRS, FLUCTUATION = 12, 5.0
 _LEANER, _LEANER_FROM = 6, 40
 # Of how many fits, the best, it is seen whether trials hold them back: no more than the rest of so
 # large a share, each with so many times the squares that they have in the median.
-_AGAIN, _MOST, _OUTWEIGHS = 3, 0.75, 5.0
+_AGAIN, _MOST, _OUTWEIGHS = 8, 0.75, 5.0
 
 
 def base_fit(laboratory: Laboratory) -> Fit:
@@ -247,9 +247,10 @@ def _past_folds(laboratory, fits: list[Fit]) -> list[Fit]:
     back, where the others' squares would fall all the way.
     """
     trials, found = laboratory.measurements.train, list(fits)
-    for fit in sorted(fits, key=lambda f: f.chi_squared)[:_AGAIN]:
-        if fit.chi_squared - fit.residual_count < FLUCTUATION * np.sqrt(2.0 * fit.residual_count):
-            continue
+    for fit in best_of_each([f for f in fits if not has_profile(f.model)])[:_AGAIN]:
+        noise = fit.residual_count + FLUCTUATION * np.sqrt(2.0 * fit.residual_count)
+        if fit.chi_squared < noise:
+            return fits
         with suppress(DataError):
             misfit = laboratory.misfit(fit.model, fit.values, trials)
             stays = misfit < _OUTWEIGHS * np.median(misfit)
@@ -260,7 +261,8 @@ def _past_folds(laboratory, fits: list[Fit]) -> list[Fit]:
                 own = fit_models(
                     laboratory, [fit.model], [own.values], weights=weighed, origin=own, race=False
                 )[0]
-            if own.chi_squared < fit.chi_squared:
+            # What does not come to the noise may only have come to another fold.
+            if own.chi_squared < noise:
                 found.append(own)
     return found
 
