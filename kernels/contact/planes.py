@@ -41,8 +41,7 @@ class Touchable:
     the rod; and how friction varies over x and y, see `friction_factor`. Where shapes move with the
     rods: (rod, shape) weight that one edge is to bear, and (rod, shape, edge) 1 where an edge does
     not touch a shape; otherwise empty. Where others move them by forces: (rod, shape) stiffness
-    that all edges may have on its body together (0: any), and which body, or empty; and (body,) how
-    many edges were near each."""
+    that all edges may have on its body together (0: any), which body, (body,) edges near it."""
 
     shapes: wp.array2d(dtype=Shape)
     static_friction: wp.array2d(dtype=wp.float64)
@@ -241,9 +240,8 @@ def contact(
     hessian: wp.array3d(dtype=wp.float64),
 ):
     """Subtract contact forces from the residual and add their stiffness to the matrix, but for how
-    a sliding node's friction depends on its normal force, which would not be symmetric. The dual of
-    friction (`wrod.kernels.contact.duals`) is taken along from `iteration` to iteration, and begins
-    with what the bristle held at the start of the step; below 0 the matrix is of the end of one."""
+    a sliding node's friction depends on its normal force, which is not symmetric. Its dual goes on
+    from `iteration` to iteration from what the bristle held; below 0 the step has ended."""
     r, i = wp.tid()
     if active[r] == 0:
         return

@@ -30,18 +30,9 @@ from wrod.solvers.solids import (
 )
 
 __all__ = [
-    "Box",
-    "Capsule",
-    "Cone",
-    "Contact",
-    "Cylinder",
-    "Ellipsoid",
-    "Friction",
-    "FrictionField",
-    "Mesh",
-    "Plane",
-    "Sphere",
-]
+    "Box", "Capsule", "Cone", "Contact", "Cylinder", "Ellipsoid", "Friction", "FrictionField",
+    "Mesh", "Plane", "Sphere",
+]  # fmt: skip
 
 _IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
 _IS_SHAPE = arguments.like("a Plane or a solid", "_describe")
