@@ -9,14 +9,14 @@ and, where it slides, on N.
 import warp as wp
 from wrod.kernels.contact.planes import (
     PLANE,
+    Touch,
     Touchable,
     coefficient,
-    damped_force,
     present_force,
     return_mapping,
     touch,
 )
-from wrod.kernels.elastic.frames import HALF, ZERO
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import solved
 from wrod.kernels.stepping.model_adjoint import WantedModel
@@ -25,24 +25,50 @@ from wrod.kernels.stepping.trace import OneStep, Wanted
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.struct
+class Pressed:
+    """A node on a plane: stiffness of its bristle against stretching (a matrix), derivative of the
+    pull by the normal force and by the coefficient, and by how much it slides (none of these where
+    it sticks), the normal force and its derivatives by where the node is at the end of the step and
+    was at its start, against the normal, by the relaxation time, and by the logarithm of the
+    radius, which is in the depth and in the skin."""
+
+    tangential: wp.mat33d
+    by_force: wp.vec3d
+    by_coefficient: wp.vec3d
+    slides: wp.float64
+    force: wp.float64
+    slope: wp.float64
+    remembered: wp.float64
+    by_relaxation: wp.float64
+    by_radius: wp.float64
+
+
 @wp.func
-def worth(
-    wanted: wp.vec3d,
-    w: wp.vec3d,
-    normal: wp.vec3d,
-    dt: wp.float64,
-    mu: wp.float64,
-    bristle: wp.vec3d,
-    depth: wp.float64,
-    closing: wp.float64,
-    stiffness: wp.float64,
-    relaxation: wp.float64,
-    skin: wp.float64,
-) -> wp.float64:
-    """What is `wanted` of the bristle at the step's end, times it, less w times the residual."""
-    force = damped_force(depth, closing, relaxation, dt, stiffness, skin)[0]
-    pull = return_mapping(bristle, normal, stiffness, mu * force).pull
-    return wp.dot(wanted, pull) / stiffness - wp.dot(w, pull - force * normal)
+def pressed(m: Touchable, step: OneStep, c: Touch, r: int, k: int, i: int) -> Pressed:
+    out = Pressed()
+    dt = step.span[r]
+    law = present_force(m, c.depth, c.closing, dt, r, i)
+    mu = coefficient(m, step.sliding[r, k, i], r, k)
+    held = return_mapping(c.bristle, c.normal, m.stiffness[r, i], mu * law[0])
+    out.tangential = held.tangential
+    out.slides = held.slides
+    if held.slides > ZERO:
+        way = wp.normalize(c.bristle)
+        out.by_force = mu * way
+        out.by_coefficient = law[0] * way
+    out.force = law[0]
+    out.slope = law[1]
+    lag = m.relaxation[r, i] / dt
+    out.by_relaxation = law[1] / (ONE + lag) * wp.min(c.closing, c.depth) / dt
+    if c.closing < c.depth:
+        out.remembered = law[1] * lag / (ONE + lag)
+    skin = m.skin[r, i]
+    thick = HALF * m.stiffness[r, i] * skin
+    if c.depth + lag * wp.min(c.closing, c.depth) < skin:
+        thick = wp.float64(law[0])
+    out.by_radius = m.radius[r, i] * (law[1] - out.remembered) - thick
+    return out
 
 
 @wp.kernel
@@ -91,18 +117,10 @@ def want_bristles(
     for k in range(model.shapes.shape[1]):
         c = touch(model, step.dof, step.dof_before, step.bristle[r, k, i], r, k, i)
         if c.force > ZERO:
-            mu = coefficient(model, step.sliding[r, k, i], r, k)
-            _0, _1, _2, _3, _4, by_bristle, by_depth, by_closing, _8, _9, _10 = wp.grad(worth)(
-                now.bristle[r, k, i], wp.vec3d(), c.normal, step.span[r], mu, c.bristle, c.depth,
-                c.closing, model.stiffness[r, i], model.relaxation[r, i], model.skin[r, i],
-            )  # fmt: skip
-            pushed = by_depth + by_closing + wp.dot(by_bristle, c.normal)
-            wanted += by_bristle - pushed * c.normal
-            law = present_force(model, c.depth, c.closing, step.span[r], r, i)
-            held = return_mapping(c.bristle, c.normal, model.stiffness[r, i], mu * law[0])
-            if held.slides > ZERO:
-                way = wp.normalize(c.bristle)
-                coupling = coupling - (mu * law[1]) * wp.outer(way, c.normal)
+            p = pressed(model, step, c, r, k, i)
+            pull = now.bristle[r, k, i] / model.stiffness[r, i]
+            wanted += p.tangential * pull - (p.slope * wp.dot(p.by_force, pull)) * c.normal
+            coupling = coupling - p.slope * wp.outer(p.by_force, c.normal)
     coupling_out[r, i] = coupling
     for a in range(3):
         now.dof[r, 4 * i + a] = now.dof[r, 4 * i + a] + wanted[a]
@@ -142,17 +160,21 @@ def want_friction(
         c = touch(model, step.dof, step.dof_before, step.bristle[r, k, i], r, k, i)
         bristle = wp.vec3d(ZERO, ZERO, ZERO)
         if c.force > ZERO:
-            mu = coefficient(model, step.sliding[r, k, i], r, k)
-            _0, _1, _2, _3, by_mu, by_bristle, by_depth, by_closing, of, lag, skin = wp.grad(worth)(
-                now.bristle[r, k, i], w, c.normal, step.span[r], mu, c.bristle, c.depth,
-                c.closing, stiffness, model.relaxation[r, i], model.skin[r, i],
-            )  # fmt: skip
-            bristle = by_bristle - wp.dot(by_bristle, c.normal) * c.normal
-            wanted += by_closing * c.normal - bristle
-            wp.atomic_add(by_coefficient, r, k, by_mu)
-            by_stiffness += of
-            by_relaxation += lag
-            by_radius += by_depth * model.radius[r, i] + skin * model.skin[r, i]
+            p = pressed(model, step, c, r, k, i)
+            after = now.bristle[r, k, i] / stiffness
+            pull = after - w
+            bristle = p.tangential * pull
+            force = wp.dot(w, c.normal) + wp.dot(p.by_force, pull)
+            wanted += (p.remembered * force) * c.normal - bristle
+            wp.atomic_add(by_coefficient, r, k, wp.dot(p.by_coefficient, pull))
+            by_stiffness += p.force * force / stiffness
+            by_relaxation += p.by_relaxation * force
+            by_radius += p.by_radius * force
+            if p.slides > ZERO:
+                # What slides pulls alike, however stiff its bristle is, which then is shorter.
+                by_stiffness -= p.force * wp.dot(p.by_force, after) / stiffness
+            else:
+                by_stiffness -= wp.dot(c.bristle, w)
         before.bristle[r, k, i] = bristle
     for a in range(3):
         before.dof[r, 4 * i + a] = before.dof[r, 4 * i + a] + wanted[a]

@@ -27,8 +27,6 @@ STANDARD_LINEAR_SOLID = wp.constant(2)
 DAHL = wp.constant(3)
 SMALL = wp.constant(wp.float64(1.0e-4))
 SIXTH = wp.constant(wp.float64(1.0 / 6.0))
-# Square of a curvature that is none: roots have a derivative.
-TINY = wp.constant(wp.float64(1.0e-300))
 
 
 @wp.struct
@@ -81,7 +79,7 @@ def flow(node: Inelastic, excess: wp.vec2d, weight: wp.vec2d) -> Flow:
     if node.law == PLASTIC:
         z = before + change
         weighted = wp.cw_mul(weight, z)
-        size = wp.sqrt(wp.max(wp.dot(z, weighted), TINY))
+        size = wp.sqrt(wp.dot(z, weighted))
         if size <= node.scale:
             out.z = z
             out.tangent = eye
@@ -93,20 +91,18 @@ def flow(node: Inelastic, excess: wp.vec2d, weight: wp.vec2d) -> Flow:
             out.work = node.scale * (size - HALF * node.scale)
         return out
     weighted = wp.cw_mul(weight, change)
-    size = wp.sqrt(wp.max(wp.dot(change, weighted), TINY))
+    size = wp.sqrt(wp.dot(change, weighted))
     x = size / node.scale
     kept = wp.exp(-x)
     share = one_less_exp_over(x)
     out.z = kept * before + share * change
     out.tangent = share * eye
-    work = node.scale * node.scale * (x - x * share)
-    out.work = stored + share * wp.dot(weighted, before) + work
+    out.work = stored + share * wp.dot(weighted, before)
+    out.work += node.scale * node.scale * (x - x * share)
     if size > ZERO:
         # The derivatives of exp(-x) and of (1 - exp(-x)) / x.
         fall = (kept - share) / size
-        turned = wp.outer(fall * change - (kept / node.scale) * before, weighted / size)
-        # What is added by += to a field is lost beside `wp.grad` (Warp 1.19).
-        out.tangent = out.tangent + turned
+        out.tangent += wp.outer(fall * change - (kept / node.scale) * before, weighted / size)
     return out
 
 

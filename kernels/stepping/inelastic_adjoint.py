@@ -10,10 +10,13 @@ import warp as wp
 from wrod.kernels.elastic.curvature import Component, Stencil, component, excess_curvature, stencil
 from wrod.kernels.elastic.frames import HALF, ZERO
 from wrod.kernels.elastic.inelastic import (
+    DAHL,
     ELASTIC,
+    PLASTIC,
     STANDARD_LINEAR_SOLID,
     Inelastic,
     flow,
+    one_less_exp_over,
 )  # fmt: skip
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.model_adjoint import WantedModel
@@ -72,18 +75,30 @@ def want_excess(
 
 
 @wp.func
-def worth(
-    node: Inelastic,
-    excess: wp.vec2d,
-    stiffness: wp.vec2d,
-    wanted: wp.vec2d,
-    by_moment: wp.vec2d,
-) -> wp.float64:
-    """What is `wanted` of z_(n+1), times it, and M times the moment."""
-    z = flow(node, excess, weight_of(stiffness)).z
-    linear = wp.where(node.law == STANDARD_LINEAR_SOLID, ZERO, -node.share)
-    moment = wp.cw_mul(stiffness, node.share * z + linear * excess)
-    return wp.dot(wanted, z) + wp.dot(by_moment, moment)
+def by_weight(node: Inelastic, change: wp.vec2d, weight: wp.vec2d, wanted: wp.vec2d) -> wp.vec2d:
+    """What is wanted of z, wanted of the weights."""
+    v = change
+    if node.law == PLASTIC:
+        v = node.lagging + change
+    size = wp.sqrt(wp.dot(v, wp.cw_mul(weight, v)))
+    by_size = wp.vec2d(ZERO, ZERO)
+    if node.law == PLASTIC and size > node.scale:
+        by_size = (-node.scale / (size * size)) * v
+    if node.law == DAHL and size > ZERO:
+        x = size / node.scale
+        kept = wp.exp(-x)
+        by_size = (kept - one_less_exp_over(x)) / size * change - (kept / node.scale) * node.lagging
+    if size == ZERO:
+        return wp.vec2d(ZERO, ZERO)
+    return (HALF * wp.dot(wanted, by_size) / size) * wp.cw_mul(v, v)
+
+
+@wp.func
+def want_weights(wanted: wp.vec2d, stiffness: wp.vec2d) -> wp.vec2d:
+    """Of weights, wanted of the stiffnesses that they are of."""
+    mean = HALF * (stiffness[0] + stiffness[1])
+    common = HALF * wp.dot(wanted, stiffness) / (mean * mean)
+    return wanted / mean - wp.vec2d(common, common)
 
 
 @wp.func
@@ -140,6 +155,9 @@ def want_remembered(
         return
     s = stencil(step.dof, step.director, r, i)
     excess = excess_of(step, rod, r, i)
+    weight = weight_of(b)
+    to = flow(here, excess, weight)
+    linear = wp.where(here.law == STANDARD_LINEAR_SOLID, ZERO, -here.share)
     by_moment = wp.vec2d()
     for k in range(2):
         c = component(s, k)
@@ -147,16 +165,27 @@ def want_remembered(
         for m in range(STENCIL):
             value -= rate_by(s, c, m) * x[r, 0, 4 * (i - 1) + m][0]
         by_moment[k] = value
-    wanted = now.lagging[r, i]
-    by_node, by_excess, by_stiffness, _3, _4 = wp.grad(worth)(here, excess, b, wanted, by_moment)
+    by_z = now.lagging[r, i] + here.share * wp.cw_mul(b, by_moment)
+    by_change = wp.transpose(to.tangent) * by_z
     # That of `want_flowed` is there already.
-    flown = wp.transpose(flow(here, excess, weight_of(b)).tangent) * wanted
-    want_excess(rod, model, r, i, excess, by_excess - flown)
-    want_excess(rod, model, r, i, here.excess, by_node.excess)
-    early = by_node.excess / cell(rod, r, i)
-    before.strain[r, i] = before.strain[r, i] + wp.vec4d(early[0], early[1], ZERO, ZERO)
-    before.lagging[r, i] = before.lagging[r, i] + by_node.lagging
-    model.bending[r, i] = model.bending[r, i] + by_stiffness
+    late = by_change - wp.transpose(to.tangent) * now.lagging[r, i]
+    want_excess(rod, model, r, i, excess, late + linear * wp.cw_mul(b, by_moment))
+    want_excess(rod, model, r, i, here.excess, -by_change)
+    early = by_change / cell(rod, r, i)
+    before.strain[r, i] = before.strain[r, i] - wp.vec4d(early[0], early[1], ZERO, ZERO)
+    kept = by_change
+    if here.law == STANDARD_LINEAR_SOLID:
+        kept = wp.exp(-here.span / here.time) * by_z
+    if here.law == DAHL:
+        change = excess - here.excess
+        size = wp.sqrt(wp.dot(change, wp.cw_mul(weight, change)))
+        kept = wp.exp(-size / here.scale) * by_z
+    before.lagging[r, i] = before.lagging[r, i] + kept
+    model.bending[r, i] = (
+        model.bending[r, i]
+        + wp.cw_mul(by_moment, here.share * to.z + linear * excess)
+        + want_weights(by_weight(here, excess - here.excess, weight, by_z), b)
+    )
 
 
 @wp.kernel
@@ -183,11 +212,12 @@ def want_begun(
     here.span = wp.float64(wp.inf)
     here.excess = wp.vec2d(ZERO, ZERO)
     here.lagging = wp.vec2d(ZERO, ZERO)
-    _0, wanted, by_stiffness, _3, _4 = wp.grad(worth)(
-        here, excess, b, now.lagging[r, i], wp.vec2d(ZERO, ZERO)
-    )
+    to = flow(here, excess, weight_of(b))
+    by_z = now.lagging[r, i]
+    wanted = wp.transpose(to.tangent) * by_z
     want_excess(rod, model, r, i, excess, wanted)
-    model.bending[r, i] = model.bending[r, i] + by_stiffness
+    of_weight = by_weight(here, excess, weight_of(b), by_z)
+    model.bending[r, i] = model.bending[r, i] + want_weights(of_weight, b)
     wanted = wanted / cell(rod, r, i)
     now.strain[r, i] = now.strain[r, i] + wp.vec4d(wanted[0], wanted[1], ZERO, ZERO)
     now.lagging[r, i] = wp.vec2d(ZERO, ZERO)
