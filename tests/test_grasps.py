@@ -121,7 +121,7 @@ def test_minimising_closures_are_minima_of_the_family(closure):
 @pytest.mark.parametrize("closure", ["zero_tension", "min_force", "min_friction"])
 def test_every_closure_converges_wherever_inputs_are_allowed(closure):
     """Not only over the range of the physics, but up to the limits."""
-    from wrod.grasps.inputs import LIMITS
+    from wrod.grasps.results import LIMITS
 
     rng = np.random.default_rng(5)
     names = ("suspended_length", "stretch_ratio")

@@ -9,17 +9,10 @@ import numpy as np
 import warp as wp
 
 from wrod.errors import GraspError
+from wrod.grasps.results import LIMITS
 from wrod.kernels.grasping import closures
 from wrod.kernels.grasping.inputs import find_outside
 from wrod.rods.device import resolve_device
-
-# Inputs that are solved; beyond them grasps do not exist, or have never been checked.
-LIMITS = {
-    "suspended_length": (0.2, 100.0),
-    "curvature": (-5.0, 5.0),
-    "stretch_ratio": (50.0, 1e7),
-    "natural_curvature": (-1.0, 1.0),
-}
 
 CLOSURES = {
     "zero_tension": int(closures.ZERO_TENSION),

@@ -1,4 +1,4 @@
-"""Results of grasps."""
+"""Results of grasps, and for which inputs there are any."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,13 @@ from wrod.arguments import Check, optional
 from wrod.errors import GraspError
 from wrod.records import checked_fields
 
+# Inputs that are solved; beyond them grasps do not exist, or have never been checked.
+LIMITS = {
+    "suspended_length": (0.2, 100.0),
+    "curvature": (-5.0, 5.0),
+    "stretch_ratio": (50.0, 1e7),
+    "natural_curvature": (-1.0, 1.0),
+}
 SENSITIVITIES = ("position_sensitivity", "rotation_sensitivity", "force_sensitivity")
 
 

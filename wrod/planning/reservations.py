@@ -5,9 +5,8 @@ import warnings
 import numpy as np
 
 from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
-from wrod.grasps.inputs import LIMITS
 from wrod.grasps.mesh import WEIGHT
-from wrod.grasps.results import Grasps
+from wrod.grasps.results import LIMITS, Grasps
 from wrod.patterns.pattern import Pattern
 from wrod.planning.sources import GraspInputs
 from wrod.rods.material import RodMaterial
