@@ -49,7 +49,8 @@ def _wind_up() -> None:
                 signal.signal(getattr(signal, name), signal.SIG_IGN)
     # Where an interruption struck a string that was executed (a dataclass does that), Python has
     # noted it, and would end by 130 whatever the command said; one that ends well clears the note.
-    exec("0")
+    with contextlib.suppress(MemoryError):
+        exec("0")
     end = sys.exc_info()[1]
     if isinstance(end, SystemExit) and end.code:
         _leave(end.code if isinstance(end.code, int) else 1)
