@@ -35,9 +35,8 @@ def corrected(
 ) -> float:
     """Processor time of `wrod.deployment.optimise.optimise` [s].
 
-    Of 104 plans (letters and patterns that nobody tuned on, friction 0.2 to 0.6) 88 took as long
-    within a factor of 1.5, counted in deployments: which ones are laid bend by bend is not always
-    to be seen beforehand.
+    Most plans take as long within a factor of 1.5, counted in deployments: which ones are laid bend
+    by bend is not always to be seen beforehand.
 
     Args:
         pattern: with its remainder.

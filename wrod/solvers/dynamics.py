@@ -169,7 +169,7 @@ class Dynamics(NewtonSteps):
             self.rod_contact.balance = (self.residual, self.step_tolerance)
             self.rod_contact.velocity = self.velocity
             # Where no rods rub on each other, steps that friction throws to and fro are halved, and
-            # no dual leads them on: what slides fast errs by a fifth in steps that are not.
+            # no dual leads them on: steps that are not become too long for what slides fast.
             for one in (*self.contacts, self.rod_contact.rubbing):
                 one.iteration = self.iteration
         # Rounds since last asked; whether to take another, and whether any rod still runs, starts
