@@ -15,6 +15,7 @@ import pickle
 import random
 import shutil
 import signal
+import sys
 import tempfile
 import time
 import warnings
@@ -173,6 +174,9 @@ def at_most(seconds: float):
     def late(*_):
         raise _Enough
 
+    # A call that is cut short while it leaves `torch.no_grad` would leave gradients off for all.
+    torch = sys.modules.get("torch")
+    gradients = torch and torch.is_grad_enabled()
     before = signal.signal(signal.SIGPROF, late)
     signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
@@ -180,6 +184,8 @@ def at_most(seconds: float):
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.signal(signal.SIGPROF, before)
+        if torch:
+            torch.set_grad_enabled(gradients)
 
 
 def batch():
