@@ -124,6 +124,15 @@ def test_a_call_without_words_says_how_to_call(words):
     assert result.exit_code == REFUSED and result.output.startswith("Usage: wrod")
 
 
+def test_help_waits_for_no_library_of_the_work():
+    code = (
+        "import sys\nfrom wrod.commands import main\nmain(['--help'], standalone_mode=False)\n"
+        "print([m for m in ('scipy', 'matplotlib', 'warp', 'torch') if m in sys.modules])"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "bench" in said.stdout and said.stdout.endswith("[]\n"), said.stdout + said.stderr
+
+
 def test_what_is_complete_is_said(tmp_path):
     said, code = ends(RodError("bad robot"), write=tmp_path / "plan.npz")
     assert code == REFUSED and f"(complete: {tmp_path / 'plan.npz'}" in said

@@ -2,7 +2,6 @@
 
 import os
 import platform
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from wrod import __version__
@@ -11,6 +10,8 @@ from wrod.errors import DataError
 
 def machine_line(device: str = "cpu") -> str:
     """Processor, cores, device and library versions, for the head of every benchmark."""
+    from importlib.metadata import PackageNotFoundError, version  # commands load without
+
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():

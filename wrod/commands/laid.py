@@ -9,7 +9,6 @@ import click
 from wrod import cost
 from wrod.commands.options import DEVICE, UNITS, PatternOptions, RodOptions
 from wrod.options import gathered, option
-from wrod.rods.model_file import rod_as_json, save_rod
 from wrod.telling import json_option, tell
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -56,6 +55,7 @@ class _Fit:
     def save(self, found) -> list[str]:
         """Write the rod and the table that were asked for."""
         from wrod.deployment.table import TableFriction
+        from wrod.rods.model_file import save_rod
 
         written = [] if self.out is None else [str(save_rod(found.rod, self.out))]
         if self.table is not None:
@@ -101,6 +101,7 @@ def command(
     from wrod.deployment.simulate import with_remainder_of
     from wrod.identification.laid.measurements import load_laid
     from wrod.planning.trajectory import Trajectory
+    from wrod.rods.model_file import rod_as_json
 
     fit.check()
     path = Trajectory.load(trajectory)

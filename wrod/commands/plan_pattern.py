@@ -1,11 +1,14 @@
 """What `wrod plan` does to a pattern before it is planned: resize, round, hold."""
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from wrod.options import option
-from wrod.patterns.pattern import Pattern
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+
+if TYPE_CHECKING:  # `wrod --help` lists this command, and needs no rods
+    from wrod.patterns.pattern import Pattern
+    from wrod.rods.material import RodMaterial
+    from wrod.rods.model import RodModel
 
 # Curvature [1/L_gb] that grasps of every closure exist for, and up to which rods lie well.
 LARGEST_CURVATURE = 3.0
@@ -29,8 +32,8 @@ class Shaping:
 class Prepared:
     """A pattern ready for planning, the rod as it is held, and what was done to them."""
 
-    pattern: Pattern
-    rod: RodModel | RodMaterial
+    pattern: "Pattern"
+    rod: "RodModel | RodMaterial"
     notes: tuple[str, ...]
     figures: dict
 
