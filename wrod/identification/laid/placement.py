@@ -117,12 +117,13 @@ def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
     centre = points.mean(axis=0)
     scale = float(np.median(photograph.uncertainty))
     normal = _normals(curve)
-    motion, best = np.zeros(3), raw(photograph, curve)
+    distance, near = cKDTree(curve).query(points)
+    motion, best = np.zeros(3), Alignment(curve, 0.0, np.zeros(2), distance)
     for _ in range(_ROUNDS):
-        near = cKDTree(_moved(motion, curve, centre)).query(points)[1]
         motion = _fitted(points, curve[near], normal[near], centre, motion, scale)
         line = _moved(motion, curve, centre)
-        here = Alignment(line, motion[0], motion[1:], cKDTree(line).query(points)[0])
+        distance, near = cKDTree(line).query(points)
+        here = Alignment(line, motion[0], motion[1:], distance)
         if here.mean >= best.mean - 1e-3 * scale:
             return min(here, best, key=lambda placement: placement.mean)
         best = here
