@@ -42,7 +42,9 @@ def assemble(
     grip's direction, massless and touched by nothing, so that what it is bent to at the grip is
     felt to second order in its edges.
     """
-    batch, rods = _batch(trials, setups, device)
+    models = {id(rod): RodModel.of(rod) for rod in {id(t.rod): t.rod for t in trials}.values()}
+    batch, rods = _batch(trials, models, setups, device)
+    sided = {key: model.has_sides for key, model in models.items()}
     radius = np.array([rod.radius for rod in rods])
     load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
     contact = Contact(
@@ -51,9 +53,7 @@ def assemble(
         _stiffness(rods, [t.fixtures for t in trials]),
         [t.friction for t in trials],
         [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
-        keeps_roll=np.array(
-            [RodModel.of(t.rod).has_sides or t.trajectory.spin != 0.0 for t in trials]
-        ),
+        keeps_roll=np.array([sided[id(t.rod)] or t.trajectory.spin != 0.0 for t in trials]),
         friction_field=friction_field,
         passive=np.arange(batch.node_count) == np.full((len(rods), 1), batch.node_count - 1),
     )
@@ -90,12 +90,10 @@ def _stiffness(rods: list[RodModel], fixtures: list[Fixtures | None]) -> np.ndar
     )
 
 
-def _batch(trials, setups, device) -> tuple[RodBatch, list[RodModel]]:
+def _batch(trials, models, setups, device) -> tuple[RodBatch, list[RodModel]]:
     """The rods as they are: with the L_gb that they have, not the one that the plan believed, and
     described in the directors of the laid rod, the first to its left, the second above it."""
     held = []
-    rods = {id(trial.rod): trial.rod for trial in trials}
-    models = {key: RodModel.of(rod) for key, rod in rods.items()}
     for trial in trials:
         rod, bent = models[id(trial.rod)], trial.disturbance
         rod = rod.stiffened((1.0 + bent.lgb_error) ** 3)

@@ -133,9 +133,10 @@ class GripMotion:
 
         def padded(name):
             tables = [getattr(s, name) for s in schedules]
-            return np.stack(
-                [np.concatenate([t, np.repeat(t[-1:], keys - len(t), axis=0)]) for t in tables]
-            )
+            out = np.empty((len(tables), keys, tables[0].shape[1]))
+            for row, table in zip(out, tables, strict=True):
+                row[: len(table)], row[len(table) :] = table, table[-1]
+            return out
 
         def floats(name):
             values = [getattr(s, name) for s in schedules]

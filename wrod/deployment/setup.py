@@ -110,8 +110,12 @@ class Disturbance:
     def displaced(self, points: np.ndarray, origin: np.ndarray) -> np.ndarray:
         """Points (n, 3) that the robot means, where it has them: turned about `origin` (3,) and
         shifted [m]."""
-        turn = Rotation.from_euler("z", self.yaw)
-        return turn.apply(points - origin) + origin + np.array([*self.offset, 0.0])
+        return self.turned(points - origin) + origin + np.array([*self.offset, 0.0])
+
+    def turned(self, vectors: np.ndarray) -> np.ndarray:
+        """Vectors (..., 3) turned about z by the yaw."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return vectors @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def mesh(rod: RodModel | RodMaterial, laid: float, spacing: float, node_count: int | None = None):
@@ -232,7 +236,6 @@ def _hanging(suspended: float, curvature: float, stretch_ratio: float) -> np.nda
 def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
     """The same deployment by a robot that shakes and stands elsewhere; the shaking begins once the
     grip has come to the trajectory."""
-    turn = Rotation.from_euler("z", disturbance.yaw)
     schedule = setup.schedule
     position = schedule.position
     if disturbance.jitter > 0.0:
@@ -247,7 +250,7 @@ def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
     return replace(
         setup,
         position=disturbance.displaced(setup.position, setup.origin),
-        director=turn.apply(setup.director),
+        director=disturbance.turned(setup.director),
         schedule=replace(
             schedule,
             position=disturbance.displaced(position, setup.origin),
