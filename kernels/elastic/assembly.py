@@ -41,8 +41,8 @@ def add_entry(hessian: wp.array3d(dtype=wp.float64), r: int, a: int, k: int, val
 
 
 # Derivatives of one stencil. On a GPU lanes of a warp that have neighbouring nodes add theirs up in
-# shared memory, first to the rows of their node, then of the one after, then of the one before, and
-# add sums of whole rows to memory.
+# shared memory, first to the rows of their node, then of the one after, then of the one before. All
+# but the first and the last of these nodes then have what they get: warps overlap by two.
 _PARTS = """
 #define WROD_UNROLL _Pragma("unroll")
     double g[11];
@@ -72,16 +72,13 @@ _PARTS = """
                      ::"l"(__cvta_generic_to_global(place)), "d"(value));
     };
     if (together) {
-        // Of node i - 1 of the first lane to node i + 1 of the last, an odd number of them apart.
+        // Of the node before the first lane's to that after the last's, an odd number apart.
         const int NODES = 34, ROW = 45, SIDE = 5;
         __shared__ double rows[NODES * ROW];
         __shared__ double sides[NODES * SIDE];
         const int lane = threadIdx.x % 32;
         double* own = rows + ROW * (lane + 1);
         double* side = sides + SIDE * (lane + 1);
-        __syncwarp();
-        for (int k = lane; k < ROW; k += 32) rows[k] = rows[ROW * (NODES - 1) + k] = 0.0;
-        if (lane < SIDE) sides[lane] = sides[SIDE * (NODES - 1) + lane] = 0.0;
         WROD_UNROLL for (int c = 0; c < 4; ++c) {
             side[c] = there ? g[4 + c] : 0.0;
             if (order == 2) {
@@ -109,15 +106,19 @@ _PARTS = """
             }
         }
         __syncwarp();
-        const int first = i - lane - 1;
-        for (int k = lane; k < 4 * NODES; k += 32) {
+        // A row's first warp has the first node whole as well; the last node has no angle.
+        const int first = i - lane - 1, from = i == lane ? 1 : 2, dofs = hessian.shape[1];
+        for (int k = 4 * from + lane; k < 4 * (NODES - 2) && 4 * first + k < dofs; k += 32) {
+            double* place = gradients + 4 * first + k;
             const double value = sides[SIDE * (k / 4) + k % 4];
-            if (value != 0.0) add(gradients + 4 * first + k, value);
+            *place = fresh ? value : *place + value;
         }
         if (order == 2) {
-            for (int k = lane; k < 44 * NODES; k += 32) {
+            const int stop = 11 * dofs - 44 * first;
+            for (int k = 44 * from + lane; k < 44 * (NODES - 2) && k < stop; k += 32) {
+                double* place = hessians + 44 * first + k;
                 const double value = rows[ROW * (k / 44) + k % 44];
-                if (value != 0.0) add(hessians + 44 * first + k, value);
+                *place = fresh ? value : *place + value;
             }
         }
         return;
@@ -142,6 +143,7 @@ def add_parts(
     i: int,
     there: bool,
     together: bool,
+    fresh: bool,
     order: int,
     # With respect to the edges before (e) and after (f) node i, and to their angles; `ef` has rows
     # of e, and of mixed derivatives the first letter is the edge, the second that of the angle.
@@ -164,7 +166,8 @@ def add_parts(
 ):
     """Add derivatives of the stencil of node i to a rod's gradient, and to its Hessian if `order`
     is 2; where it is not `there` nothing of its own. With `together` a whole warp comes here, each
-    lane with the node after that of the lane before."""
+    lane with the node after that of the lane before; where that is `fresh`, nothing is there yet
+    that would have to be added to."""
     ...
 
 

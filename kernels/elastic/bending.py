@@ -21,6 +21,7 @@ from wrod.kernels.elastic.assembly import add_number, add_parts
 from wrod.kernels.elastic.curvature import (
     Component,
     Stencil,
+    at_cut,
     component,
     excess_curvature,
     perpendicular,
@@ -29,7 +30,7 @@ from wrod.kernels.elastic.curvature import (
     symmetric,
 )
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
-from wrod.kernels.elastic.stretching import add_stretching, stretching
+from wrod.kernels.elastic.stretching import stretching
 from wrod.kernels.elastic.twisting import Twisting, twisting, twisting_hessian
 
 wp.set_module_options({"enable_backward": False})
@@ -231,25 +232,22 @@ def add_stencil(
     bend: Bending,
     twist: Twisting,
     # Beside them, by the edges before (e) and after (f) the node:
-    energy: wp.float64,
     e: wp.vec3d,
     f: wp.vec3d,
     e_e: wp.mat33d,
     f_f: wp.mat33d,
     there: bool,
     together: bool,
+    fresh: bool,
     order: int,
     # Out:
-    energy_out: wp.array(dtype=wp.float64),
     gradient_out: wp.array2d(dtype=wp.float64),
     hessian_out: wp.array3d(dtype=wp.float64),
 ):
-    """Add bending and twisting at node i to the rod's energy and its derivatives; nothing where
-    it is not `there`. `together`: see `add_parts`."""
+    """Add bending and twisting at node i to the rod's derivatives; nothing where it is not `there`.
+    `together` and `fresh`: see `add_parts`."""
     inv_e = ONE / s.length_e
     inv_f = ONE / s.length_f
-    if there and energy_out.shape[0] > 0:
-        add_number(energy_out, r, bend.energy + energy + twist.energy)
     g_e = inv_e * bend.g_e + twist.moment * twist.e + e
     g_f = inv_f * bend.g_f + twist.moment * twist.f + f
     b = twist.stiffness
@@ -262,7 +260,7 @@ def add_stencil(
         ef = (inv_e * inv_f) * bend.ef + twist_ef
         ff = (inv_f * inv_f) * bend.ff + f_f + twist_ff
     add_parts(
-        r, i, there, together, order,
+        r, i, there, together, fresh, order,
         g_e, g_f, bend.g_te - twist.moment, bend.g_tf + twist.moment,
         ee, ef, ff,
         inv_e * bend.e_te - b * twist.e, inv_f * bend.f_te - b * twist.f,
@@ -297,6 +295,8 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
         director_in: wp.array2d(dtype=wp.vec3d),
         reference_twist_in: wp.array2d(dtype=wp.float64),
         order: int,
+        owned: int,
+        fresh: bool,
         # Out:
         energy_out: wp.array(dtype=wp.float64),
         gradient_out: wp.array2d(dtype=wp.float64),
@@ -308,25 +308,26 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
         may be one that stands for a viscous material in a step.
 
         Every inner node adds the stretching of the edge before it, the last that after it as well.
-        Launched over (rod, inner node), on a GPU in blocks of a warp that lie within one rod.
+        Launched over (rod, inner node) with 0 nodes `owned`; on a GPU over (rod, warp, lane), in
+        blocks of a warp, of whose lanes so many own theirs: a first and a last one help them.
+        There, if `fresh`, gradient and Hessian are written anew.
         """
         r, j = wp.tid()
         if active[r] == 0:
             return
-        edges = stretching_stiffness.shape[1]
-        # Lanes beyond the rod, and those at a cut, help the others to add.
-        i = wp.min(j + 1, edges - 1)
-        last = i == edges - 1
-        there = j + 1 == i
-        if bending_stiffness[r, i][0] == ZERO:  # at a cut
-            if there:
-                for e in range(i - 1, wp.where(last, i + 1, i)):
-                    add_stretching(
-                        rest_length, stretching_stiffness, dof_in, r, e, order,
-                        energy_out, gradient_out, hessian_out,
-                    )  # fmt: skip
-            there = False
+        last = stretching_stiffness.shape[1] - 1
+        at, owns = j + 1, True
+        if owned > 0:
+            lane = j % (owned + 2)
+            at = j / (owned + 2) * owned + lane
+            owns = lane > 0 and lane <= owned
+        i = wp.clamp(at, 1, last)
+        there = at == i
         s = stencil(dof_in, director_in, r, i)
+        tau = dof_in[r, 4 * i + 3] - dof_in[r, 4 * i - 1] + reference_twist_in[r, i]
+        if bending_stiffness[r, i][0] == ZERO:
+            s = at_cut(s, stretching_stiffness[r, i - 1], stretching_stiffness[r, i])
+            tau = ZERO
         rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
         bend = bending(
             s,
@@ -337,20 +338,21 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
             invariant_stiffness[r, i],
             order,
         )
-        tau = dof_in[r, 4 * i + 3] - dof_in[r, 4 * i - 1] + reference_twist_in[r, i]
         twist = twisting(twisting_stiffness[r, i], natural_twist[r, i], rest, s, tau)
         before = stretching(stretching_stiffness[r, i - 1], rest_length[r, i - 1], s.length_e, s.t)
         energy = before.energy
         g_f = wp.vec3d(ZERO, ZERO, ZERO)
         ff = wp.mat33d()
-        if last:
+        if i == last:
             after = stretching(stretching_stiffness[r, i], rest_length[r, i], s.length_f, s.u)
             energy += after.energy
             g_f += after.gradient
             ff += after.hessian
+        if there and owns and energy_out.shape[0] > 0:
+            add_number(energy_out, r, bend.energy + energy + twist.energy)
         add_stencil(
-            r, j + 1, s, bend, twist, energy, before.gradient, g_f, before.hessian, ff,
-            there, True, order, energy_out, gradient_out, hessian_out,
+            r, at, s, bend, twist, before.gradient, g_f, before.hessian, ff,
+            there, owned > 0, fresh, order, gradient_out, hessian_out,
         )  # fmt: skip
 
     return elasticity

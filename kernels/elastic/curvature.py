@@ -11,7 +11,7 @@ angle.
 
 import warp as wp
 from wrod.kernels.elastic.assembly import add_component, add_edge_gradient
-from wrod.kernels.elastic.frames import ONE, edge, rotate
+from wrod.kernels.elastic.frames import ONE, ZERO, edge, rotate
 
 wp.set_module_options({"enable_backward": False})
 
@@ -46,6 +46,22 @@ def stencil(
     s.m1f = rotate(director[r, i], s.u, dof[r, 4 * i + 3])
     s.m2f = wp.cross(s.u, s.m1f)
     return s
+
+
+@wp.func
+def at_cut(s: Stencil, before: wp.float64, after: wp.float64) -> Stencil:
+    """The edge of a stencil that is none of a cut, whose stretching stiffness is 0 and which may
+    have no length."""
+    out = Stencil()
+    out.length_e = ONE
+    out.length_f = ONE
+    if before != ZERO:
+        out.t = s.t
+        out.length_e = s.length_e
+    if after != ZERO:
+        out.u = s.u
+        out.length_f = s.length_f
+    return out
 
 
 @wp.struct

@@ -8,7 +8,7 @@ gradient and Hessian; kernels/elastic/bend_twist.py is the shortest example.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_hessian
+from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_hessian, add_number
 from wrod.kernels.elastic.bending import BendingResponse, add_stencil, make_bending
 from wrod.kernels.elastic.curvature import component, excess_curvature, stencil, symmetric
 from wrod.kernels.elastic.frames import HALF, TWO, ZERO
@@ -90,9 +90,11 @@ def make_section_energy(response: wp.Function, numbers: type) -> wp.Kernel:
         twist = twisting_moment(ZERO, here.moment[2], tangent[2, 2] / rest, s)
         no_force = wp.vec3d(ZERO, ZERO, ZERO)
         no_stiffness = wp.mat33d()
+        if energy_out.shape[0] > 0:
+            add_number(energy_out, r, bend.energy + twist.energy)
         add_stencil(
-            r, i, s, bend, twist, ZERO, no_force, no_force, no_stiffness, no_stiffness,
-            True, False, order, energy_out, gradient_out, hessian_out,
+            r, i, s, bend, twist, no_force, no_force, no_stiffness, no_stiffness,
+            True, False, False, order, gradient_out, hessian_out,
         )  # fmt: skip
         if order == 2:
             for k in range(2):

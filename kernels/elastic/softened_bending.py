@@ -9,7 +9,7 @@ is twisted does not soften.
 
 import warp as wp
 from wrod.kernels.elastic.bending import BendingResponse, make_elasticity
-from wrod.kernels.elastic.frames import HALF, ONE, TWO
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,6 +20,8 @@ SMALL = wp.constant(wp.float64(1.0e-5))
 @wp.func
 def softening_law(excess: wp.vec2d, stiffness: wp.vec2d, softening: wp.vec2d) -> BendingResponse:
     mean = HALF * (stiffness[0] + stiffness[1])
+    if mean == ZERO:  # at a cut
+        mean = ONE
     squares = stiffness[0] * excess[0] * excess[0] + stiffness[1] * excess[1] * excess[1]
     kept = softening[1]
     x = softening[0] * squares / mean

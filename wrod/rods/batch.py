@@ -235,28 +235,34 @@ class RodBatch(BatchArrays):
         """
         state = self.state if state is None else state
         out = self.derivatives if out is None else out
+        nodes = self.node_count
         active = self.every_rod if active is None else active
         if energy:
             out.energy.zero_()
-        out.clear(order)
+        # On a GPU lanes of a warp overlap by two, and the first term writes where the others add.
+        count, width, owned = nodes - 2, 1, 0
+        if lanes(self.device) > 1:
+            width, owned = WARP, WARP - 2
+            count = -(-(nodes - 1) // owned) * WARP
+        else:
+            out.clear(order)
         results = [out.energy if energy else self._nothing, out.gradient, out.hessian]
 
         def launch(kernel, count, inputs, outputs=results):
             self.launch(kernel, (self.rod_count, count), inputs, outputs)
 
-        nodes = self.node_count
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
         terms = [(softened_elasticity if self.softens else elasticity, model or self.elastic_model)]
         terms += [(softened_elasticity, self.layer_model(layer)) for layer in self.layers]
-        size = lanes(self.device)
-        for kernel, numbers in terms:
+        for i, (kernel, numbers) in enumerate(terms):
             wp.launch(
                 kernel,
-                dim=(self.rod_count, -(-(nodes - 2) // size) * size),
-                inputs=[*numbers, active, state.dof, state.director, state.reference_twist, order],
+                dim=(self.rod_count, count),
+                inputs=[*numbers, active, state.dof, state.director, state.reference_twist, order]
+                + [owned, i == 0],
                 outputs=results,
                 device=self.device,
-                block_dim=size,
+                block_dim=width,
             )
         for kernel, number in self.energies if energies is None else energies:
             launch(
