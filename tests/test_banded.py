@@ -1,9 +1,11 @@
 """Banded factorisations and solutions against dense ones, and a GPU's against a CPU's."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import warp as wp
-from wrod.kernels.linear import banded, banded_ends, banded_lanes, two_warps
+from wrod.kernels.linear import banded, banded_ends, banded_lanes, factor_lanes, two_warps
 
 from wrod.rods.state import full_hessian
 
@@ -58,10 +60,11 @@ def run(kernels, device, hessian, free, shift, active, right):
     return factor.numpy().copy(), negative.numpy().copy(), x.numpy().copy()
 
 
+BY_WARPS = SimpleNamespace(factorise=factor_lanes.factorise, solve=banded_lanes.solve)
 WAYS = [
     pytest.param(banded, "cpu", id="thread-cpu"),
-    pytest.param(banded_lanes, "cpu", id="warp-cpu"),
-    pytest.param(banded_lanes, "cuda:0", id="warp-gpu", marks=needs_gpu),
+    pytest.param(BY_WARPS, "cpu", id="warp-cpu"),
+    pytest.param(BY_WARPS, "cuda:0", id="warp-gpu", marks=needs_gpu),
 ]
 
 

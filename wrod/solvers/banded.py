@@ -7,7 +7,14 @@ import warp as wp
 
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.lanes import WARP, lanes
-from wrod.kernels.linear import banded, banded_ends, banded_lanes, border, two_warps
+from wrod.kernels.linear import (
+    banded,
+    banded_ends,
+    banded_lanes,
+    border,
+    factor_lanes,
+    two_warps,
+)
 from wrod.rods.batch import RodBatch
 
 
@@ -83,7 +90,7 @@ class BandedSystem:
         """Factorise the free blocks of `hessian` (rod, dof, 11), which is contiguous."""
         self._clear_pivots(active)
         self._launch(
-            (banded.factorise, banded_lanes.factorise),
+            (banded.factorise, factor_lanes.factorise),
             (self.batch.rod_count,),
             [active, self.batch.free, hessian, self.shift],
             [self.factor, self.negative_pivots],
