@@ -1,8 +1,5 @@
 """Rods in Newton scenes: closed forms, worlds side by side, held ends, and what is refused."""
 
-import subprocess
-import sys
-
 import newton
 import numpy as np
 import pytest
@@ -507,17 +504,6 @@ def test_errors_say_what_to_call():
         solver.step(model.state(), model.state(), None, None, 0.0)
     with pytest.raises(RodError, match=r"call model\.state"):
         solver.step(scene().finalize(device=DEVICE).state(), model.state(), None, None, 0.01)
-
-
-def test_without_newton():
-    """One sentence says what to install; the rest of wrod is there."""
-    code = (
-        "import sys; sys.modules['newton'] = None; import wrod; wrod.rod('rope')\n"
-        "try: wrod.SolverDER\n"
-        "except wrod.errors.RodError as error: print(error)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "SolverDER needs Newton; install wrod[newton]\n"
 
 
 def test_natural_curvature_bends_a_rod_to_its_circle():

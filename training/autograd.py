@@ -4,15 +4,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import torch
 from scipy.interpolate import CubicSpline
 
 from wrod import arguments
 from wrod.deployment.result import METRIC_POINTS, interpolation
 from wrod.deployment.simulate import Trial, refuse_other_plans, with_remainder_of
 from wrod.deployment.tangents import Directions, lay
-from wrod.errors import GraspError, RodError
+from wrod.errors import GraspError, RodError, needed_extras
 from wrod.grasps.optimal import solve_grasps
+
+with needed_extras():
+    import torch
 
 
 def tensor(value) -> str | None:

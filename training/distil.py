@@ -13,11 +13,13 @@ from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
-import torch
 from wrod.training.plan_files import Sample
 
 from wrod.controller.corrector import FEATURES, OUTPUTS, Corrector, Course, formula
-from wrod.errors import DataError
+from wrod.errors import DataError, needed_extras
+
+with needed_extras():
+    import torch
 
 _WIDTH, _DEPTH, _BATCH, _RATE, _DECAY = 64, 2, 64, 3e-3, 0.05
 # Plans that leave a larger error than this do not lie, and teach nothing [L_gb].

@@ -10,7 +10,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-import torch
 from wrod.training.dataset import GraspTable
 from wrod.training.network import GraspNetwork
 from wrod.training.optimizer import Soap
@@ -19,9 +18,12 @@ from wrod.training.sampling import RANGE, RodInputs, sample_worst
 from wrod.training.score import figures
 
 from wrod.controller.controller import Controller
-from wrod.errors import DataError
+from wrod.errors import DataError, needed_extras
 from wrod.files import checked_path, write_atomically, write_csv
 from wrod.files.reading import shown
+
+with needed_extras():
+    import torch
 
 CHECKPOINT = "checkpoint.pt"
 _FORMAT = "wrod-checkpoint-1"

@@ -7,17 +7,19 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
-import torch
 import warp as wp
 from wrod.training.autograd import tensor
 
 from wrod import arguments
-from wrod.errors import RodError
+from wrod.errors import RodError, needed_extras
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import RodState
 from wrod.solvers.adjoint import StepAdjoint
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.trace import Trace, require_differentiable
+
+with needed_extras():
+    import torch
 
 # Of `RodBatch.elastic_model`: what is scaled for stretching, bending and twisting.
 _STRETCHING, _BENDING, _TWISTING = 1, 2, 6

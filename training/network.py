@@ -3,13 +3,16 @@
 import itertools
 
 import numpy as np
-import torch
 from scipy.spatial.transform import Rotation
 from wrod.training.dataset import GraspTable
 
 from wrod.controller import curved as controller_curved
 from wrod.controller import model as controller_model
 from wrod.controller.controller import ARCHITECTURES
+from wrod.errors import needed_extras
+
+with needed_extras():
+    import torch
 
 _LEAST = 1e-9
 # Below it a thrust at the contact is the solver's rounding; one that is so many times kappa squared

@@ -4,7 +4,10 @@ Regression to many digits is ill-conditioned, and Adam stalls where its axes are
 curvature. For layers as small as ours the eigenbases cost little.
 """
 
-import torch
+from wrod.errors import needed_extras
+
+with needed_extras():
+    import torch
 
 
 class Soap(torch.optim.Optimizer):

@@ -10,6 +10,31 @@ from contextlib import contextmanager
 
 # Beginnings of the names of environment variables that are not the library's own name.
 _PREFIXES = {"numpy": ("NUMPY", "NPY"), "matplotlib": ("MPL",), "cv2": ("OPENCV",)}
+# Modules that a base install lacks, and the extra that brings each.
+EXTRAS = {
+    "torch": "train",
+    "pytorch_kinematics": "robot",
+    "ruckig": "robot",
+    "trimesh": "robot",
+    "collada": "robot",
+    "pxr": "scene",
+    "newton": "newton",
+    "viser": "view",
+    "cv2": "perception",
+    "PIL": "perception",
+    "skimage": "perception",
+    "networkx": "perception",
+    "ezdxf": "drawings",
+    "svgelements": "drawings",
+    "mcap": "mcap",
+    "gymnasium": "gym",
+    "coal": "meshes",
+    "xacro": "meshes",
+    "mujoco": "peers",
+    "cosseratbench": "peers",
+    "elastica": "peers",
+    "numba": "peers",
+}
 
 
 def blamed_variables(error: BaseException) -> str | None:
@@ -66,6 +91,22 @@ class DataError(WrodError):
     """A data file that is truncated, foreign or inconsistent."""
 
 
+class MissingExtraError(WrodError, ModuleNotFoundError):
+    """A package that one of the extras brings is not installed."""
+
+    def __init__(self, module: str):
+        super().__init__(
+            f"this needs {module}; install it with: pip install 'wrod[{EXTRAS[module]}]'"
+        )
+        self.name = module
+
+    @classmethod
+    def of(cls, error: ModuleNotFoundError) -> "MissingExtraError | None":
+        """What Python's error is where an extra brings the module; None where none does."""
+        module = (error.name or "").partition(".")[0]
+        return cls(module) if module in EXTRAS else None
+
+
 class WrodWarning(UserWarning):
     """Base of every warning: the result stands, with the reservation that is named."""
 
@@ -85,3 +126,16 @@ def retold_as(error: type[WrodError]) -> Iterator[None]:
         yield
     except (TypeError, ValueError) as refused:
         raise error(str(refused)) from None
+
+
+@contextmanager
+def needed_extras() -> Iterator[None]:
+    """A package of an extra that is not found within, or in the function that it decorates, is a
+    `MissingExtraError`."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = MissingExtraError.of(error)
+        if missing is None or isinstance(error, MissingExtraError):
+            raise
+        raise missing from error

@@ -18,7 +18,7 @@ from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.setup import Setup, blend
 from wrod.deployment.simulate import Trial, prepare_trials, with_remainder_of
-from wrod.errors import RodError
+from wrod.errors import RodError, needed_extras
 from wrod.patterns.pattern import Pattern
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -36,16 +36,15 @@ _TOUCH = 1e-3
 _SEGMENT, _LYING = 0.008, 3.0
 
 
+@needed_extras()
 def require_mujoco():
     """The package.
 
     Raises:
-        RodError: it is not installed.
+        MissingExtraError: it is not installed.
     """
-    try:
-        import mujoco
-    except ImportError:
-        raise RodError("the second engine is MuJoCo; install wrod[peers]") from None
+    import mujoco
+
     return mujoco
 
 
@@ -128,7 +127,7 @@ def chain(
         lengths: (n,) of the segments [m]; default: of `nodes`.
 
     Raises:
-        RodError: MuJoCo is not installed.
+        MissingExtraError: MuJoCo is not installed.
     """
     mujoco = require_mujoco()
     edges = np.diff(nodes, axis=0)
@@ -180,7 +179,8 @@ def lay_in_mujoco(
         height of the pattern's plane.
 
     Raises:
-        RodError: MuJoCo is not installed, the rod is not uniform, or the simulation blew up.
+        MissingExtraError: MuJoCo is not installed.
+        RodError: the rod is not uniform, or the simulation blew up.
     """
     (setup,) = prepare_trials(
         [trial], hold, hold if release is None else release, speed, Discretisation(segment)

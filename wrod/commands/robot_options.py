@@ -72,7 +72,7 @@ class RobotRequest:
         """
         import warnings
 
-        from wrod.errors import RobotError, SceneError, WrodWarning
+        from wrod.errors import MissingExtraError, RobotError, WrodWarning
 
         if self.no_robot:
             self._refuse_ignored()
@@ -86,7 +86,7 @@ class RobotRequest:
                 return replace(self, no_robot=True)
         refuse_few_addresses()
         if self.view and find_spec("viser") is None:
-            raise SceneError("--view needs Viser; install wrod[view]")
+            raise MissingExtraError("viser")
         from wrod.robot.model import describe_robot
         from wrod.robot.obstacles import Obstacles
         from wrod.robot.outputs import FORMATS

@@ -14,7 +14,7 @@ from pathlib import Path
 import click
 
 from wrod.commands.surroundings import refuse_few_addresses
-from wrod.errors import DataError, WrodError, blamed_variables
+from wrod.errors import DataError, MissingExtraError, WrodError, blamed_variables
 
 # Exit codes: of input that cannot be used, of interruptions, and of a fault of ours.
 REFUSED, INTERRUPTED, FAULT = 2, 130, 70
@@ -33,31 +33,7 @@ _STRUCK: list[int] = []
 _WRITTEN = ("out", "table", "usd")
 # Set it to see where a fault of ours is.
 TRACEBACK = "WROD_TRACEBACK"
-# Modules that a base install lacks, and the extra that brings each.
-_EXTRAS = {
-    "torch": "train",
-    "pytorch_kinematics": "robot",
-    "ruckig": "robot",
-    "trimesh": "robot",
-    "pxr": "scene",
-    "newton": "newton",
-    "viser": "view",
-    "cv2": "perception",
-    "PIL": "perception",
-    "skimage": "perception",
-    "networkx": "perception",
-    "ezdxf": "drawings",
-    "svgelements": "drawings",
-    "mcap": "mcap",
-    "gymnasium": "gym",
-    "coal": "meshes",
-    "xacro": "meshes",
-    "mujoco": "peers",
-    "cosseratbench": "peers",
-    "elastica": "peers",
-    "numba": "peers",
-}
-# Of those, what a command cannot do without: it says so before it works.
+# Modules of extras that a command cannot do without: it says so before it works.
 _NEEDS = {
     "scan": ("cv2", "skimage"),
     "markers": ("cv2",),
@@ -78,10 +54,8 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
     if isinstance(error, KeyboardInterrupt):
         word, code = _ENDINGS.get(error.args[0] if error.args else None, _ENDINGS[signal.SIGINT])
         return f"{word}; what was finished is kept, and the same command goes on", code
-    if isinstance(error, ModuleNotFoundError):
-        module = (error.name or "").partition(".")[0]
-        if module in _EXTRAS:
-            return _missing(module), REFUSED
+    if isinstance(error, ModuleNotFoundError) and (missing := MissingExtraError.of(error)):
+        return str(missing), REFUSED
     if isinstance(error, MemoryError) or ("allocat" in str(error) and "bytes" in str(error)):
         return "out of memory; ask for less at once (fewer trials, a smaller batch)", REFUSED
     if isinstance(error, (RuntimeError, ImportError)) and any(
@@ -109,10 +83,6 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
     return None if blamed is None else (blamed, REFUSED)
 
 
-def _missing(module: str) -> str:
-    return f"this needs {module}; install it with: pip install 'wrod[{_EXTRAS[module]}]'"
-
-
 def equipped(command: click.Command, path: str) -> click.Command:
     """The command, which refuses before it works where a package is missing.
 
@@ -128,7 +98,7 @@ def equipped(command: click.Command, path: str) -> click.Command:
     def guarded(*args, **kwargs):
         for module in needed:
             if find_spec(module) is None:
-                raise DataError(_missing(module))
+                raise MissingExtraError(module)
         if {"newton", "pxr"} & set(needed):
             refuse_few_addresses()
         return run(*args, **kwargs)

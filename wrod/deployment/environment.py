@@ -20,7 +20,7 @@ from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance, one_hemisphere
 from wrod.deployment.simulate import prepare_trials, with_remainder_of
 from wrod.deployment.trial import Trial
-from wrod.errors import RodError
+from wrod.errors import RodError, needed_extras
 from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
@@ -30,11 +30,9 @@ from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
 
-try:
+with needed_extras():
     import gymnasium
     from gymnasium.vector import AutoresetMode, VectorEnv
-except ImportError as error:
-    raise RodError("laying as an environment needs Gymnasium; install wrod[gym]") from error
 
 _ROD_POINTS, _AHEAD = 24, 8  # points of the rod, and of the pattern ahead, that are observed
 _LOOK = 0.1  # [m] of pattern ahead

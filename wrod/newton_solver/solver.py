@@ -9,12 +9,10 @@ import warp as wp
 
 import wrod.kernels  # noqa: F401  # before Newton: starts Warp quietly
 from wrod import arguments
-from wrod.errors import RodError, WrodWarning, retold_as
+from wrod.errors import RodError, WrodWarning, needed_extras, retold_as
 
-try:
+with needed_extras():
     import newton
-except ImportError as error:
-    raise RodError("SolverDER needs Newton; install wrod[newton]") from error
 
 from newton.solvers import SolverBase
 

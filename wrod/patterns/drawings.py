@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.errors import PatternError
+from wrod.errors import PatternError, needed_extras
 from wrod.files import checked_path
 from wrod.files.reading import shown
 from wrod.patterns.drawing_checks import (
@@ -37,6 +37,7 @@ _DXF_UNITS = {
 }
 
 
+@needed_extras()
 def read_drawing(
     path: Path, units: str | None = None, layer: str | None = None, stroke: int | None = None
 ) -> RawPoints:
@@ -101,10 +102,8 @@ def _length(points: np.ndarray) -> float:
 
 
 def _svg(path: Path, layer: str | None) -> list[np.ndarray]:
-    try:
-        import svgelements
-    except ImportError as error:
-        raise PatternError(f"{path}: SVG files need svgelements; install wrod[drawings]") from error
+    import svgelements
+
     check_svg(path)
     try:
         # 96 pixels an inch, as CSS has it; width, height and viewBox are applied.
@@ -185,14 +184,12 @@ def _flattened(whole, metre: float, path: Path, svgelements) -> np.ndarray:
 
 
 def _dxf(path: Path, units: str | None, layer: str | None) -> list[np.ndarray]:
+    import ezdxf
+    from ezdxf import disassemble
+    from ezdxf import path as dxf_path
+
     from wrod.patterns.files import unit_scale
 
-    try:
-        import ezdxf
-        from ezdxf import disassemble
-        from ezdxf import path as dxf_path
-    except ImportError as error:
-        raise PatternError(f"{path}: DXF files need ezdxf; install wrod[drawings]") from error
     try:
         document = ezdxf.readfile(path)
         named = _DXF_UNITS.get(int(document.header.get("$INSUNITS", 0)))

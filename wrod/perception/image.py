@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 
-from wrod.errors import PerceptionError
+from wrod.errors import PerceptionError, needed_extras
 from wrod.files import checked_path
 
 # Most pixels of a picture: three times those of a phone; tracing them needs 2 GiB.
@@ -16,6 +16,7 @@ _FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "GIF", "PPM")
 SMALLEST = 16  # shorter side below which no stroke can be told from noise [px]
 
 
+@needed_extras()
 def read_image(path: str | os.PathLike[str]) -> np.ndarray:
     """Picture file as (H, W, 3) RGB or (H, W) grey uint8, upright as its EXIF orientation says.
 
@@ -74,6 +75,7 @@ def _has_more(picture) -> bool:
     return True
 
 
+@needed_extras()
 def picture_pixels(path: str | os.PathLike[str]) -> int:
     """Pixels that a picture promises; 0 where it cannot be read, which `read_image` says."""
     from PIL import Image

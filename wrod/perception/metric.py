@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.errors import PerceptionError
+from wrod.errors import PerceptionError, needed_extras
 from wrod.files import read_json, schemas
 
 # Numbers of distortion coefficients that OpenCV knows.
@@ -49,6 +49,7 @@ class CameraIntrinsics:
             )
         return cls(matrix, np.array(found.distortion or [0.0] * 5))
 
+    @needed_extras()
     def undistort(self, points: np.ndarray) -> np.ndarray:
         """Where (n, 2) pixels would lie without lens distortion [px]."""
         import cv2
@@ -83,6 +84,7 @@ class Plane:
         return _project(np.linalg.inv(self.homography), np.asarray(points, float))
 
     @classmethod
+    @needed_extras()
     def from_markers(
         cls, image: np.ndarray, layout: MarkerLayout, camera: CameraIntrinsics | None = None
     ) -> Plane:
@@ -201,6 +203,7 @@ class MarkerLayout:
         return region
 
 
+@needed_extras()
 def find_markers(image: np.ndarray, layout: MarkerLayout) -> dict[int, np.ndarray]:
     """id -> (4, 2) sub-pixel corners [px] of the layout's markers.
 
@@ -232,6 +235,7 @@ def find_markers(image: np.ndarray, layout: MarkerLayout) -> dict[int, np.ndarra
     return {i: found[ids.index(i)].reshape(4, 2).astype(float) for i in wanted}
 
 
+@needed_extras()
 def find_sheet(image: np.ndarray) -> np.ndarray:
     """(4, 2) corners [px] of the one bright sheet: upper left, upper right, lower right, left."""
     # The edges of a whole sheet are straight; a dog's ear is forgiven what is bright.

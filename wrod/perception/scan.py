@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import PerceptionError, WrodWarning
+from wrod.errors import PerceptionError, WrodWarning, needed_extras
 from wrod.patterns.curve import arc_length
 from wrod.perception.gaps import join_gaps
 from wrod.perception.image import as_image, is_mask, read_image
@@ -92,6 +92,7 @@ _CHECKED_AS_SCAN = arguments.checked(
 )
 
 
+@needed_extras()
 @_CHECKED_AS_SCAN
 def read_scan(
     image: str | os.PathLike[str] | np.ndarray,
@@ -125,6 +126,7 @@ def read_scan(
     return Scan(name, picture, found, lines, plane, dots)
 
 
+@needed_extras()
 @arguments.checked(
     PerceptionError,
     start=arguments.either(arguments.text, arguments.array((2,))),

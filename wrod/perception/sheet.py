@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.errors import PerceptionError
+from wrod.errors import PerceptionError, needed_extras
 from wrod.files import write_atomically, write_figure, write_json
 
 # Width and height [m], lying on their long side.
@@ -89,6 +89,7 @@ class MarkerSheet:
             },
         }
 
+    @needed_extras()
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write markers.pdf (true size), markers.png (300 dots per inch) and layout.json."""
         folder = Path(folder)

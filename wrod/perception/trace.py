@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import PerceptionError
+from wrod.errors import PerceptionError, needed_extras
 from wrod.patterns.curve import arc_length
 from wrod.perception import refine
 from wrod.perception.image import as_image, is_mask
@@ -50,6 +50,7 @@ class Centerline:
         return np.array(self.points, dtype=dtype)
 
 
+@needed_extras()
 @arguments.checked(
     PerceptionError,
     image=arguments.picture,
@@ -83,6 +84,7 @@ def trace_centerlines(
     return trace_mask(*segment(image, kind, color))
 
 
+@needed_extras()
 def trace_mask(mask: np.ndarray, foreground: np.ndarray | None = None) -> list[Centerline]:
     """Centrelines of all strands of a mask, longest first.
 

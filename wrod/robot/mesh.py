@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.errors import RobotError
+from wrod.errors import RobotError, needed_extras
 from wrod.files.reading import MIB, checked_path
 
 FORMATS = (".stl", ".obj", ".dae", ".ply", ".glb", ".gltf", ".off", ".3mf")
@@ -15,6 +15,7 @@ FORMATS = (".stl", ".obj", ".dae", ".ply", ".glb", ".gltf", ".off", ".3mf")
 _LARGEST = 64 * MIB
 
 
+@needed_extras()
 def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Read vertices (V, 3) [file's unit; COLLADA's: m] and triangles (F, 3) of a mesh file.
 
@@ -36,18 +37,16 @@ def _read(path: Path, stamp: int) -> tuple[np.ndarray, np.ndarray]:
             f"{path}: {suffix or 'this'} meshes are not read; convert the mesh to one of "
             f"{', '.join(FORMATS)}"
         )
-    try:
-        import trimesh
-    except ImportError as error:
-        raise RobotError(f"{path}: meshes are read by trimesh; install wrod[robot]") from error
+    import trimesh
+
     logging.getLogger("trimesh").setLevel(logging.ERROR)
     try:
         scale = _collada_unit(path) if suffix == ".dae" else 1.0
         mesh = trimesh.load_mesh(path, process=False)
         vertices = np.asarray(mesh.vertices, dtype=float) * scale
         faces = np.asarray(mesh.faces, dtype=int)
-    except ImportError as error:
-        raise RobotError(f"{path}: needs {error.name}; install wrod[robot]") from error
+    except ImportError:
+        raise
     except Exception as error:
         raise RobotError(f"{path}: not a readable {suffix[1:].upper()} mesh ({error})") from error
     if len(faces) == 0 or not np.isfinite(vertices).all():

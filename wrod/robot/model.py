@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import RobotError, WrodWarning
+from wrod.errors import RobotError, WrodWarning, needed_extras
 from wrod.robot.urdf import LinkShape, UrdfFile, read_urdf
 from wrod.robot.urdf_checks import chain_limits, check_reach
 from wrod.scenes import gripper as gripper_model
@@ -87,6 +87,7 @@ class Robot:
         poses = self.link_poses(np.zeros(len(self.joint_names)))
         return poses[first.find("parent").get("link")][0]
 
+    @needed_extras()
     def link_poses(self, positions: np.ndarray) -> dict[str, np.ndarray]:
         """Poses of every link in the base frame.
 
@@ -110,6 +111,7 @@ class Robot:
         }
 
 
+@needed_extras()
 @arguments.checked(
     RobotError,
     robot=arguments.either(arguments.path, arguments.like("a Robot", "joint_names", "chain")),
@@ -154,6 +156,7 @@ def load_robot(
     return _build(urdf, length, acceleration or ACCELERATION, jerk or JERK)
 
 
+@needed_extras()
 def describe_robot(
     robot: str | os.PathLike[str],
     *,

@@ -12,7 +12,7 @@ from typing import IO
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.errors import RobotError
+from wrod.errors import RobotError, needed_extras
 from wrod.files import write_atomically
 from wrod.robot.joint_path import JointPath
 
@@ -37,6 +37,7 @@ def accelerations(path: JointPath) -> np.ndarray:
     return np.gradient(path.velocities, path.time, axis=0, edge_order=2)
 
 
+@needed_extras()
 def export(path: JointPath, folder: str | os.PathLike[str], formats: list[str]) -> list[Path]:
     """Write a joint path in each of some formats; see `FORMATS`.
 
@@ -148,10 +149,8 @@ def _row(values) -> str:
 def _mcap(path: JointPath) -> bytes:
     """One JSON message of the ROS type on the topic /joint_trajectory, and the name of every phase
     when it begins on /phase."""
-    try:
-        from mcap.writer import Writer
-    except ImportError as error:
-        raise RobotError("MCAP files need the package mcap; install wrod[mcap]") from error
+    from mcap.writer import Writer
+
     buffer = io.BytesIO()
     writer = Writer(buffer)
     writer.start(profile="", library="wrod")

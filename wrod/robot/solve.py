@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import RobotError, WrodWarning
+from wrod.errors import RobotError, WrodWarning, needed_extras
 from wrod.planning.trajectory import Trajectory
 from wrod.robot.attempt import Solution, Task
 from wrod.robot.collision import CollisionModel
@@ -49,6 +49,7 @@ _RADIUS = 0.004  # [m] of a rod that a trajectory does not name
 FAR = 2.5  # [rad] beyond a last joint's turn, from where on elbow and tilt do not make up for it
 
 
+@needed_extras()
 @arguments.checked(
     RobotError,
     robot=arguments.either(arguments.path, arguments.like("a Robot", "joint_names", "chain")),

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import SceneError
+from wrod.errors import SceneError, needed_extras
 from wrod.files import write_atomically
 from wrod.robot.grip import Grip, GripPath
 from wrod.scene.arm import add_arm, add_visuals
@@ -40,6 +40,7 @@ _shapes = arguments.either(
 _DEFAULT_RADIUS = 0.002  # [m] where no rod is given
 
 
+@needed_extras()
 @arguments.checked(
     SceneError,
     trajectory=arguments.each(

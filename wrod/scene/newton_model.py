@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.errors import SceneError
+from wrod.errors import SceneError, needed_extras
 from wrod.scene.validate import open_stage
 
 # Time codes, shapes, points of one shape, and metres beyond which nothing of ours is.
@@ -47,13 +47,12 @@ class NewtonScene:
         SceneError: the file is no stage, nothing in it can be shown, or a hidden name is unknown.
     """
 
+    @needed_extras()
     def __init__(self, path: str | os.PathLike[str], hidden: tuple[str, ...] = ()):
         import wrod.kernels  # noqa: F401  # before Newton: starts Warp quietly
 
-        try:
-            import newton
-        except ImportError as error:
-            raise SceneError("showing a scene needs Newton; install wrod[newton]") from error
+        # isort: split
+        import newton
         from pxr import UsdGeom
 
         self._path = path

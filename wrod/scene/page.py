@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.errors import SceneError
+from wrod.errors import SceneError, needed_extras
 from wrod.files import write_text
 from wrod.scene.page_parts import (
     ShownArm,
@@ -39,6 +39,7 @@ _COLOURS = "green: on the pattern; red: a centimetre off"
 _LINE = 0.045  # of what is seen, between the captions' lines
 
 
+@needed_extras()
 def write_deployment_page(
     out: str | os.PathLike[str],
     trajectory,
@@ -68,10 +69,8 @@ def write_deployment_page(
     Raises:
         SceneError: Viser is missing.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise SceneError("pages need Viser; install wrod[view]") from error
+    import viser
+
     radius, onward = 0.002 if rod is None else float(rod.radius), None
     if shapes is None:
         shapes, onward = rods_of(trajectory, joint_path, pattern, _ROD_POINTS)
@@ -142,6 +141,7 @@ def _clock(now: float, duration: float, joint_path) -> str:
     return f"{doing}{now:.1f} s of {duration:.0f} s"
 
 
+@needed_extras()
 def write_laying_page(
     out: str | os.PathLike[str], deployment, trajectory, pattern, rod, interval: float
 ) -> Path:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.errors import SceneError
+from wrod.errors import SceneError, needed_extras
 from wrod.files import write_atomically
 
 _SKY, _GROUND = (0.50, 0.51, 0.55), (0.20, 0.19, 0.18)
@@ -29,6 +29,7 @@ class Renderer:
         SceneError: no stage, no such camera, a size that is not positive, or Newton is missing.
     """
 
+    @needed_extras()
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -41,10 +42,7 @@ class Renderer:
             raise SceneError(f"picture size {size[0]} x {size[1]} is not within 1 ... 8192 pixels")
         import wrod.kernels  # noqa: F401  # before Newton: starts Warp quietly
 
-        try:
-            import newton  # noqa: F401
-        except ImportError as error:
-            raise SceneError("rendering needs Newton; install wrod[newton]") from error
+        # isort: split
         import warp as wp
         from newton.sensors import SensorCamera
 
@@ -96,6 +94,7 @@ def time_codes(start: float, end: float, frames: int) -> np.ndarray:
     return np.unique(np.round(np.linspace(start, end, frames)))
 
 
+@needed_extras()
 def render(
     path: str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -138,6 +137,7 @@ def render(
     return written
 
 
+@needed_extras()
 def four_moments(scene: Path) -> np.ndarray:
     """(height, width, 3) four moments of a scene, seen in perspective, uint8 RGB.
 
@@ -158,6 +158,7 @@ def save_png(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
     return write_atomically(path, lambda file: write_png(file, picture), "wb")
 
 
+@needed_extras()
 def write_png(file, picture: np.ndarray) -> None:
     """The same into an open binary file."""
     from PIL import Image

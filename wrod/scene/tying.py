@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.deployment.fixtures import Fixtures
-from wrod.errors import RobotError, SceneError
+from wrod.errors import RobotError, SceneError, needed_extras
 from wrod.files import write_atomically
 from wrod.robot.placement import Placement
 from wrod.robot.transfers import HandFilm, Transfer, find_transfers
@@ -50,6 +50,7 @@ class Scene:
     arms: ArmFilm | None
 
 
+@needed_extras()
 def export_scene(
     path: str | os.PathLike[str],
     *,

@@ -3,13 +3,14 @@
 import os
 import warnings
 
-from wrod.errors import SceneError, WrodWarning
+from wrod.errors import SceneError, WrodWarning, needed_extras
 from wrod.files import checked_path
 from wrod.files.reading import MIB, shown
 
 _MOST_BYTES = 512 * MIB
 
 
+@needed_extras()
 def open_stage(path: str | os.PathLike[str]):
     """Open a stage.
 
@@ -41,6 +42,7 @@ def open_stage(path: str | os.PathLike[str]):
     return stage
 
 
+@needed_extras()
 def validation_errors(path: str | os.PathLike[str]) -> list[str]:
     """Everything that OpenUSD's validators say about a stage, empty where it is in order."""
     from pxr import UsdValidation

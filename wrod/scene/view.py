@@ -7,7 +7,7 @@ from collections.abc import Callable
 from math import radians
 from pathlib import Path
 
-from wrod.errors import SceneError
+from wrod.errors import needed_extras
 from wrod.files import write_text
 from wrod.scene.stage import FRAMES_PER_SECOND
 
@@ -17,11 +17,9 @@ _STRIDE = 2  # every other time code is enough for a page
 
 
 def _viewer(model, port: int, verbose: bool):
-    try:
-        import viser  # noqa: F401
-        from newton.viewer import ViewerViser
-    except ImportError as error:
-        raise SceneError("the browser view needs Viser; install wrod[view]") from error
+    import viser  # noqa: F401  # Newton's own error of it names no module
+    from newton.viewer import ViewerViser
+
     viewer = ViewerViser(host=_ADDRESS, port=port, label="wrod", verbose=verbose)
     viewer.set_model(model)
     return viewer
@@ -44,6 +42,7 @@ def _look_through(camera, viewer) -> None:
     first.fov = radians(lens.GetFieldOfView(lens.FOVVertical))
 
 
+@needed_extras()
 def write_page(
     path: str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -82,6 +81,7 @@ def write_page(
     return write_text(out, page)
 
 
+@needed_extras()
 def view(path: str | os.PathLike[str], port: int = _PORT) -> None:
     """Play a stage in a browser on this machine, again and again, until interrupted.
 

@@ -1,0 +1,67 @@
+"""Functions of the API whose package is not installed: one sentence names the extra."""
+
+import subprocess
+import sys
+
+import pytest
+
+_PROGRAM = """
+import sys
+class Without:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == {hidden!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Without())
+import numpy as np
+import wrod
+wrod.rod("rope")
+picture = np.zeros((60, 60), bool)
+picture[20:23, 10:50] = True
+def trajectory():
+    return wrod.plan(wrod.Pattern.from_points([[0, 0], [0.3, 0]]), wrod.rod("rope"), spacing=0.02)
+for call in {calls!r}:
+    try:
+        exec(call)
+        print(call, "ran")
+    except wrod.errors.WrodError as error:
+        assert isinstance(error, ImportError)
+        print(error)
+"""
+_NEEDED = {
+    ("newton", "newton"): ["wrod.SolverDER", "from wrod.newton_solver import SolverDER"],
+    ("cv2", "perception"): [
+        "wrod.scan(picture, scale=0.001)",
+        "wrod.trace_centerlines(picture)",
+        "from wrod.perception.metric import MarkerLayout, find_markers\n"
+        "find_markers(picture.astype('u1'), MarkerLayout('4x4', {0: picture[:4, :2] * 1.0}))",
+    ],
+    ("PIL", "perception"): [
+        f"from wrod.perception.image import read_image; read_image({__file__!r})"
+    ],
+    ("torch", "train"): [
+        "wrod.load_robot('sawyer')",
+        "wrod.solve_joint_path(trajectory())",
+        "import wrod.training.autograd",
+        "from wrod.training.loop import Training",
+        "import wrod.training.distil, wrod.training.moving, wrod.training.network",
+    ],
+    ("pytorch_kinematics", "robot"): ["wrod.load_robot('sawyer')"],
+    ("pxr", "scene"): [
+        "wrod.export_usd('never-written.usda', trajectory=trajectory())",
+        "from wrod.scene.validate import open_stage; open_stage('never-written.usda')",
+    ],
+    ("gymnasium", "gym"): ["import wrod.deployment.environment"],
+    ("mujoco", "peers"): ["from wrod.bench.mujoco_chain import require_mujoco; require_mujoco()"],
+}
+
+
+@pytest.mark.parametrize("package, extra", _NEEDED)
+def test_missing_package_is_named_with_its_extra(tmp_path, package, extra):
+    calls = _NEEDED[package, extra]
+    done = subprocess.run(
+        [sys.executable, "-c", _PROGRAM.format(hidden=package, calls=calls)],
+        capture_output=True, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    said = f"this needs {package}; install it with: pip install 'wrod[{extra}]'"
+    assert done.stdout.splitlines() == [said] * len(calls), done.stderr
+    assert not list(tmp_path.iterdir())
