@@ -51,7 +51,7 @@ from adversary_material import (
     material,
     odd_places,
 )
-from adversary_runs import digests, run, wrong
+from adversary_runs import digests, run, worked, wrong
 
 from wrod.commands import COMMANDS, main
 from wrod.commands.bench import BENCHMARKS
@@ -302,8 +302,9 @@ def work(task: tuple) -> list[tuple]:
         said = wrong(ended, left, around, words[:1] in [[name] for name in QUICK])
         if isinstance(around, tuple) and ended.code == 0 and not said:
             said = campaign.alike(words, around, folder / "run")
+        code = -signal.SIGXCPU if worked(ended) else ended.code
         spent = round(ended.seconds, 1)
-        row = (number, kind, ended.code, spent, said, ended.said[-160:], ended.memory)
+        row = (number, kind, code, spent, said, ended.said[-160:], ended.memory)
         found.append(row)
         if log is not None:  # line by line: what was tried is known whatever ends the campaign
             with open(log, "a", encoding="utf-8", errors="replace") as file:

@@ -71,8 +71,9 @@ _EVENTS = {
 }  # fmt: skip
 _ERRORS = ("EIO", "ENOSPC", "EACCES", "EMFILE", "ESTALE", "MemoryError", "SIGINT", "SIGTERM")
 _MODULES = (
-    "scipy", "scipy.optimize", "scipy.interpolate", "matplotlib", "matplotlib.figure", "PIL",
-    "cv2", "skimage", "torch", "warp", "msgspec", "tqdm", "safetensors", "fcntl",
+    "lazy_loader", "click", "numpy", "scipy", "scipy.optimize", "scipy.interpolate", "matplotlib",
+    "matplotlib.figure", "PIL", "cv2", "skimage", "torch", "warp", "msgspec", "tqdm",
+    "safetensors", "fcntl",
     "newton", "pxr", "trimesh", "ezdxf", "svgelements", "networkx", "ruckig", "pytorch_kinematics",
 )  # fmt: skip
 _IMPORTERS = ("plan", "show", "scan", "deploy", "train")

@@ -129,6 +129,13 @@ _LOUD = {"PYTHONVERBOSE", "PYTHONPROFILEIMPORTTIME", "PYTHONMALLOCSTATS"}
 _BY_FORCE = ("| head", "| true", "ulimit", ">&-", "/dev/full", "2>&1 | head")
 
 
+def worked(end: End) -> bool:
+    """Whether it, or a worker of it, was at work when the limit of processor time ended it."""
+    late = end.code == -signal.SIGKILL
+    late |= end.code == 2 and "a worker was ended from outside" in end.said
+    return end.code in (-signal.SIGXCPU, 128 + signal.SIGXCPU) or (late and end.seconds > LONGEST)
+
+
 def wrong(end: End, left: list[str], around, quick: bool = False) -> str | None:
     """What is wrong with the end of a call; None if nothing. `quick`: it ends in a second or two
     where nothing is broken."""
@@ -137,11 +144,11 @@ def wrong(end: End, left: list[str], around, quick: bool = False) -> str | None:
     devices = {path for path in DEVICES if not stat.S_ISCHR(os.stat(path).st_mode)}
     if devices:
         return f"replaced {devices}"
-    if end.code in (-signal.SIGXCPU, 128 + signal.SIGXCPU, -signal.SIGKILL):
+    if end.code == -signal.SIGKILL and not worked(end):
+        return f"hangs, or took all memory: {end.said[-300:]}"
+    if worked(end):
         # It was taken, and works; but no variable makes work of what is quick.
         return "no end" if quick and isinstance(around, dict) else None
-    if end.code == 2 and end.seconds > LONGEST and "a worker was ended from outside" in end.said:
-        return None  # its worker was at work when the limit of processor time ended it
     if isinstance(around, str) and around.startswith("# "):
         return _wrong_around(end, around)
     if isinstance(around, dict) and end.code < 0 and end.code == _python_alone(**around):

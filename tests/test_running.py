@@ -457,10 +457,14 @@ def test_a_file_system_without_locks_takes_outputs(tmp_path, monkeypatch):
         write_atomically(tmp_path / "a", lambda file: file.write("whole"))
 
 
-def test_a_package_that_cannot_be_loaded_is_said(tmp_path):
-    (tmp_path / "lazy_loader.py").write_text("raise ImportError('libx.so: no such file')")
-    call = [sys.executable, "-c", "import wrod_start; wrod_start.main()"]
-    around = os.environ | {"PYTHONPATH": str(tmp_path)}
+@pytest.mark.parametrize("how", [["-c", "import wrod_start; wrod_start.main()"], ["-m", "wrod"]])
+@pytest.mark.parametrize("package", ["lazy_loader", "click"])
+def test_a_package_that_cannot_be_loaded_is_said(package, how, tmp_path):
+    (tmp_path / f"{package}.py").write_text("raise ImportError('libx.so: no such file')")
+    call = [sys.executable, *how, "show", "letter-A", "--out", str(tmp_path / "a.png")]
+    around = os.environ | {
+        "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    }
     run = subprocess.run(call, env=around, capture_output=True, text=True)
     assert run.returncode == REFUSED and "libx.so" in run.stderr
     assert len(run.stderr.splitlines()) == 1
