@@ -37,6 +37,7 @@ CASES = {
     "bench loop --controller numeric --grasps 200 --out {out}": "--grasps does nothing",
     "bench hands --data {folder} --quick --folds 3 --out {out}": "--folds does nothing",
     "bench photographs --data {folder} --quick --scenarios 3 --out {out}": "--scenarios does",
+    "bench photographs --data {folder} --nothing-fitted --scenarios 3 --out {out}": "--scenarios",
 }
 
 

@@ -19,8 +19,18 @@ from wrod.telling import json_option, tell
 )
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path))
 @click.option("--quick", is_flag=True, help="One rod, two patterns, no predictions.")
+@click.option(
+    "--nothing-fitted", is_flag=True, help="One scenario a picture, as told; no predictions."
+)
 @click.option("--spacing", default=0.01, show_default=True, help="Length of the edges [m].")
 @click.option("--step", default=0.025, show_default=True, help="Largest time step [s].")
+@click.option(
+    "--scheme",
+    type=click.Choice(["euler", "bdf2"]),
+    default="bdf2",
+    show_default=True,
+    help="Of time stepping, of first and of second order.",
+)
 @click.option(
     "--scenarios", default=64, show_default=True, help="Drawn scenarios a rod, beside 11."
 )
@@ -32,8 +42,10 @@ def command(
     data: Path,
     out: Path,
     quick: bool,
+    nothing_fitted: bool,
     spacing: float,
     step: float,
+    scheme: str,
     scenarios: int,
     device: str,
     threads: int | None,
@@ -59,8 +71,11 @@ def command(
 
     if quick:
         refuse_idle_options("--quick", "scenarios")
+    if nothing_fitted:
+        refuse_idle_options("--nothing-fitted", "scenarios")
     photographs = load_photographs(data)
-    if not quick and practice_of(data).exists():
+    short = quick or nothing_fitted
+    if not short and practice_of(data).exists():
         load_photograph(practice_of(data))  # refused before the work
     if quick:
         first = photographs[0].rod
@@ -68,12 +83,13 @@ def command(
     device = resolve_device(device)
     laid = Deployments(
         out / "laid.jsonl",
-        {"spacing": spacing, "step": step, "data": data.name},
+        {"spacing": spacing, "step": step, "scheme": scheme, "data": data.name},
         device=device,
         threads=threads,
         workers=workers,
     )
-    verdicts = judge(photographs, laid, 0 if quick else scenarios)
+    drawn = None if nothing_fitted else 0 if quick else scenarios
+    verdicts = judge(photographs, laid, drawn)
     figures: dict[str, Any] = {
         "machine": machine_line(device),
         "left_out": [row.as_dict() for verdict in verdicts for row in verdict.rows],
@@ -83,12 +99,12 @@ def command(
             for row, camera in zip(verdicts[0].rows, verdicts[0].cameras, strict=True)
         },
     }
-    written = [] if quick else _add_predictions(figures, out, photographs, verdicts, laid, data)
+    written = [] if short else _add_predictions(figures, out, photographs, verdicts, laid, data)
     summary = out / "photographs.json"
     write_json(summary, figures)
     figures["written"] = [str(path) for path in (*written, summary, laid.path)]
     lines = [left_out_table(verdicts)]
-    if not quick:
+    if not short:
         lines += [figures[part]["text"] for part in ("table3", "plans", "waves")]
         practice = figures["predictions"]["practice"]
         lines.append(f"practice (green VPS, letter L, optimal path): {practice}")

@@ -25,9 +25,9 @@ class Deployments:
     def __init__(self, path: Path, settings: dict, *, device, threads, workers=1):
         self.path, self.workers, self.device = path, workers, device
         self._ledger = Ledger(path, settings, KEYS, "photographs", row_schemas.LaidRow)
-        self._mesh = Discretisation(settings["spacing"], settings["step"])
+        self.mesh = Discretisation(settings["spacing"], settings["step"], settings["scheme"])
         threads = threads if workers == 1 else 1
-        self._options = {"discretisation": self._mesh, "device": device, "threads": threads}
+        self._options = {"discretisation": self.mesh, "device": device, "threads": threads}
 
     def of(
         self, photograph: LaidPhotograph, method: str, scenarios: dict[str, Scenario]
@@ -60,7 +60,7 @@ class Deployments:
         count = sum(len(scenarios) for _, _, scenarios, _ in jobs)
         work = cost.deployments(
             count, max(preset(photograph.rod).length for photograph, *_ in jobs), speed=SPEED,
-            step=self._mesh.step, spacing=self._mesh.spacing, device=self.device,
+            step=self.mesh.step, spacing=self.mesh.spacing, device=self.device,
         )  # fmt: skip
         # At most a thousand scenarios a picture, a few dozen at once: no more than a machine has.
         cost.settle(cost.Cost(work.seconds), f"{count} deployments", force=True)

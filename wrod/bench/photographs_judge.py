@@ -71,8 +71,9 @@ class Verdict:
     camera: OverheadCamera
 
 
-def judge(photographs: list[LaidPhotograph], laid: Deployments, drawn: int) -> list[Verdict]:
-    """Lay every rod in every scenario, and compare with its pictures.
+def judge(photographs: list[LaidPhotograph], laid: Deployments, drawn: int | None) -> list[Verdict]:
+    """Lay every rod in every scenario, or in the believed one only (`drawn` None), and compare with
+    its pictures.
 
     A picture is predicted without the pictures of its pattern, of any rod: camera, weights of the
     scenarios and the share of their mean come from the other patterns.

@@ -32,7 +32,8 @@ _ROLLS = 8
 _SHAKE = 5e-3
 # Mechanisms laid in one batch.
 _TOGETHER = 16
-_STEP, _FAST_STEP, _SPACING = 0.025, 0.0125, 0.01
+# Of those that sway, at most [s].
+_FAST_STEP = 0.0125
 # Where a line's wave is measured [m].
 _FROM, _TO = 0.05, 0.42
 
@@ -157,10 +158,11 @@ def waves(
 
 def _waves_of(rod: str, own: dict[str, LaidPhotograph], camera: OverheadCamera, laid, out: Path):
     every = mechanisms(rod)
-    jobs = [(own[name], group, laid.device) for name in PATTERNS for group in _laid_together(every)]
+    groups, how = _laid_together(every), (laid.mesh, laid.device)
+    jobs = [(own[name], group, *how) for name in PATTERNS for group in groups]
     placed = {
         (one.cause, one.sense, p.pattern_name): _placed(p, where, camera)
-        for (p, group, _), rods in zip(jobs, laid.map(_lay, jobs), strict=True)
+        for (p, group, *_), rods in zip(jobs, laid.map(_lay, jobs), strict=True)
         for one, where in zip(group, rods, strict=True)
     }
     rows: list[dict[str, Any]] = []
@@ -211,8 +213,8 @@ def _laid_together(every: list[Mechanism]) -> list[list[Mechanism]]:
     return [g[k : k + _TOGETHER] for g in groups.values() for k in range(0, len(g), _TOGETHER)]
 
 
-def _lay(photograph: LaidPhotograph, group: list[Mechanism], device: str) -> list[LaidRod]:
-    trials = []
+def _lay(photograph, group: list[Mechanism], mesh: Discretisation, device: str) -> list[LaidRod]:
+    fast, trials = min(_FAST_STEP, mesh.step), []
     for one in group:
         path = one.path(photograph, preset(photograph.rod))
         mu = one.scenario.friction
@@ -223,7 +225,7 @@ def _lay(photograph: LaidPhotograph, group: list[Mechanism], device: str) -> lis
     laid = simulate_deployments(
         trials,
         hold=HELD if group[0].scenario.held else 0.0,
-        discretisation=Discretisation(_SPACING, _FAST_STEP if group[0].fast else _STEP),
+        discretisation=replace(mesh, step=fast) if group[0].fast else mesh,
         speed=group[0].speed,
         device=device,
         threads=1,
