@@ -32,6 +32,13 @@ from wrod.telling import json_option, tell
     help="Of time stepping, of first and of second order.",
 )
 @click.option(
+    "--damping",
+    type=click.FloatRange(0.0, 1.0),
+    default=0.065,
+    show_default=True,
+    help="Kelvin-Voigt time of the rods' material [s].",
+)
+@click.option(
     "--scenarios", default=64, show_default=True, help="Drawn scenarios a rod, beside 11."
 )
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
@@ -46,6 +53,7 @@ def command(
     spacing: float,
     step: float,
     scheme: str,
+    damping: float,
     scenarios: int,
     device: str,
     threads: int | None,
@@ -83,7 +91,7 @@ def command(
     device = resolve_device(device)
     laid = Deployments(
         out / "laid.jsonl",
-        {"spacing": spacing, "step": step, "scheme": scheme, "data": data.name},
+        {"spacing": spacing, "step": step, "scheme": scheme, "damping": damping, "data": data.name},
         device=device,
         threads=threads,
         workers=workers,

@@ -1,6 +1,6 @@
 """Deployments of `wrod bench photographs`: each simulated once, kept in a file, over processes."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ class Deployments:
         self.path, self.workers, self.device = path, workers, device
         self._ledger = Ledger(path, settings, KEYS, "photographs", row_schemas.LaidRow)
         self.mesh = Discretisation(settings["spacing"], settings["step"], settings["scheme"])
+        self.damping = settings["damping"]
         threads = threads if workers == 1 else 1
         self._options = {"discretisation": self.mesh, "device": device, "threads": threads}
 
@@ -50,7 +51,8 @@ class Deployments:
             head = (method, photograph.rod, photograph.pattern_name)
             lacking = [key[-1] for key in self._ledger.lacking((*head, n) for n in scenarios)]
             for held in (True, False):
-                batch = [(n, scenarios[n]) for n in lacking if scenarios[n].held is held]
+                own = [(n, self.damped(scenarios[n])) for n in lacking]
+                batch = [(name, one) for name, one in own if one.held is held]
                 jobs += [
                     (photograph, method, dict(batch[k : k + _TOGETHER]), self._options)
                     for k in range(0, len(batch), _TOGETHER)
@@ -67,6 +69,10 @@ class Deployments:
         ended = side_by_side.run(_lay, jobs, self.workers)
         for _, rows in cost.progress_bar(ended, total=len(jobs), desc="deployments"):
             self._ledger.add(rows)
+
+    def damped(self, scenario: Scenario) -> Scenario:
+        """As rods are damped here."""
+        return replace(scenario, damping=self.damping)
 
     def map(self, function, jobs: list[tuple]) -> list:
         """`function(*job)` of every job in order, over the processes."""

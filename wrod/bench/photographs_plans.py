@@ -26,7 +26,7 @@ def plans_in_scenarios_found(
     Returns:
         "scenarios" and "rows", and "text" to print.
     """
-    scenarios = {verdict.rod: scenario_found(verdict) for verdict in verdicts}
+    scenarios = {verdict.rod: laid.damped(scenario_found(verdict)) for verdict in verdicts}
     jobs = [(p, scenarios[p.rod]) for p in photographs]
     rows = [
         {"rod": p.rod, "pattern": p.pattern_name, **found}
@@ -64,7 +64,7 @@ def _mean(values) -> float:
 def _lay(photograph: LaidPhotograph, scenario: Scenario) -> dict[str, float | None]:
     """{plan: e_mean [cm]}; None where there is no plan or the simulation diverged."""
     believed = preset(photograph.rod)
-    true = scenario.rod(believed)
+    true, laid = scenario.rod(believed), scenario.damped(believed)
     out: dict[str, float | None] = {}
     for name, rod, friction in (
         (_PLANS[0], believed, None),
@@ -77,7 +77,7 @@ def _lay(photograph: LaidPhotograph, scenario: Scenario) -> dict[str, float | No
                 # The rod is held as it was in the photographs: its own side to the left.
                 path = plan(photograph.pattern, rod, roll=0.0, friction=friction)
                 law = Friction(scenario.friction)
-                trial = Trial(photograph.pattern, true, path, law, another_rod=True)
+                trial = Trial(photograph.pattern, laid, path, law, another_rod=True)
                 (one,) = simulate_deployments([trial])
             out[name] = None if one.diverged else 100.0 * one.error_mean
         except WrodError:

@@ -65,7 +65,7 @@ class Mechanism:
     shake: float = 0.0
 
     def rod(self, name: str) -> RodModel:
-        rod = RodModel.of(self.scenario.rod(preset(name)))
+        rod = self.scenario.damped(preset(name))
         if self.helix or self.twist:
             rod = replace(rod, natural_twist=Profile((2.0 * np.pi * self.helix + self.twist,)))
         if self.wave:
@@ -157,7 +157,7 @@ def waves(
 
 
 def _waves_of(rod: str, own: dict[str, LaidPhotograph], camera: OverheadCamera, laid, out: Path):
-    every = mechanisms(rod)
+    every = [replace(one, scenario=laid.damped(one.scenario)) for one in mechanisms(rod)]
     groups, how = _laid_together(every), (laid.mesh, laid.device)
     jobs = [(own[name], group, *how) for name in PATTERNS for group in groups]
     placed = {
