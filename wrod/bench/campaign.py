@@ -138,7 +138,7 @@ class Common:
     scheme: str = option(
         "Of time stepping, of first and of second order.",
         type=click.Choice(["euler", "bdf2"]),
-        default="euler",
+        default="bdf2",
     )
     spacing: float = option("Length of the edges [m].")
     batch: int | None = option("Trials simulated at once; default: 32, CUDA all.")

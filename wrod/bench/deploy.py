@@ -12,7 +12,7 @@ from wrod.telling import json_option, tell
 STUDIES = {
     "spacing": {"spacing": 0.01},
     "step": {"step": 0.04},
-    "step by bdf2": {"step": 0.04},
+    "step by euler": {"step": 0.04},
     "spacing and step": {"spacing": 0.01, "step": 0.04},
     "speed": {"speed": 0.04},
 }
@@ -31,7 +31,7 @@ STUDIES = {
 def command(
     name: str, rod_name: str, friction: float, batch: int, levels: int, device: str
 ) -> None:
-    """Time one deployment and a batch on one thread; halve edges, steps of first and of second
+    """Time one deployment and a batch on one thread; halve edges, steps of second and of first
     order, both, and speed."""
     from wrod.bench.campaign import points_of
     from wrod.deployment.discretisation import Discretisation
@@ -86,8 +86,8 @@ def command(
         laid, study = [], []
         for level in range(levels):
             options: dict = {what: value / 2**level for what, value in first.items()}
-            if title == "step by bdf2":
-                options["scheme"] = "bdf2"
+            if title == "step by euler":
+                options["scheme"] = "euler"
             if title == "speed":
                 # Slower and slower the deployment becomes a sequence of equilibria.
                 options["step"] = 0.01 * 2**level

@@ -1,5 +1,8 @@
 """From trials of deployments to batches of rods, tables and steps."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -10,6 +13,7 @@ from wrod.deployment.setup import Setup
 from wrod.deployment.trial import Trial
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import directors_at_rest, quadratic_drag
+from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Contact, FrictionField, Plane
 from wrod.solvers.dynamics import Dynamics
@@ -61,8 +65,7 @@ def assemble(
         batch,
         scheme=discretisation.scheme,
         radius=radius,
-        air_damping=np.array([rod.air_damping or _AIR_DAMPING for rod in rods]),
-        internal_damping=np.array([rod.internal_damping for rod in rods]),
+        **damping(rods),
         contact=contact,
         motion=GripMotion(
             batch, [setup.schedule for setup in setups], [rod.principal_angle for rod in rods]
@@ -76,6 +79,15 @@ def assemble(
     if drag is not None:
         dynamics.set_drag(np.pad(drag, ((0, 0), (0, 1), (0, 0))))
     return batch, contact, dynamics
+
+
+def damping(rods: Sequence[RodModel | RodMaterial]) -> dict[str, Any]:
+    """(rod,) arguments of `Dynamics`."""
+    models = [RodModel.of(rod) for rod in rods]
+    return {
+        "air_damping": np.array([rod.air_damping or _AIR_DAMPING for rod in models]),
+        "internal_damping": np.array([rod.internal_damping for rod in models]),
+    }
 
 
 def _stiffness(rods: list[RodModel], fixtures: list[Fixtures | None]) -> np.ndarray:

@@ -16,7 +16,8 @@ class Discretisation:
     Attributes:
         spacing: length of the edges where the rod is laid [m].
         step: largest time step [s].
-        scheme: of time stepping: "euler", "bdf2" or "midpoint".
+        scheme: of time stepping: "bdf2", or "euler", which damps what shakes a rod along; see
+            `wrod.Dynamics`.
         tolerance: of a step's residual forces, over the weight of one L_gb of rod.
         node_count: nodes of every rod instead of `spacing`, so that results do not depend on which
             trials are simulated together; None: what the longest needs.
@@ -27,7 +28,7 @@ class Discretisation:
 
     spacing: float = 0.005
     step: float = 0.01
-    scheme: str = "euler"
+    scheme: str = "bdf2"
     tolerance: float = 1e-5
     node_count: int | None = None
 

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from scipy.interpolate import CubicSpline
 
+from wrod.deployment.assembly import damping
 from wrod.patterns.curve import arc_length
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import directors_at_rest
@@ -48,9 +49,8 @@ def left_alone(
     contact = Contact(batch, radius, weight / (_SINKING * radius), friction, keeps_roll=sides)
     dynamics = Dynamics(
         batch,
-        scheme="euler",
         radius=radius,
-        air_damping=1.0,
+        **damping(rods),
         contact=contact,
         force_scale=weight * np.array([rod.gravito_bending_length for rod in rods]),
         tolerance=1e-5,

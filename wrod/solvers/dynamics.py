@@ -164,14 +164,11 @@ class Dynamics(NewtonSteps):
         rounding = rounding_of(batch, self.length_scale.numpy(), self.force_scale.numpy())
         self.rounding = wp.array(rounding, dtype=wp.vec2d, device=device)
         for one in self.contacts:
-            one.time_step = self.span
+            one.time_step, one.iteration = self.span, self.iteration
         if self.rod_contact is not None:
             self.rod_contact.balance = (self.residual, self.step_tolerance)
             self.rod_contact.velocity = self.velocity
-            # Where no rods rub on each other, steps that friction throws to and fro are halved, and
-            # no dual leads them on: steps that are not become too long for what slides fast.
-            for one in (*self.contacts, self.rod_contact.rubbing):
-                one.iteration = self.iteration
+            self.rod_contact.rubbing.iteration = self.iteration
         # Rounds since last asked; whether to take another, and whether any rod still runs, starts
         # a step, iterates on, has ended a step.
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
