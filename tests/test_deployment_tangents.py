@@ -78,7 +78,7 @@ def check_tangents(pattern, rod, trajectory, friction, scheme):
 
 
 # Sticking: all agree. Sliding at friction 0.16: so do they, as far as the step's tolerance allows.
-@pytest.mark.parametrize("friction, scheme", [(4.0, "bdf2"), (0.16, "euler")])
+@pytest.mark.parametrize("friction, scheme", [(4.0, "euler"), (0.16, "bdf2"), (0.16, "euler")])
 def test_tangents_are_limits_of_differences(bend, friction, scheme):
     pattern, trajectory = bend
     check_tangents(pattern, ROD, trajectory, Friction(friction), scheme)
@@ -96,7 +96,7 @@ def test_so_they_are_of_a_rod_with_sides_that_softens_and_is_damped(bend):
         law=Softening(30.0, 0.5), internal_damping=0.05,
     )  # fmt: skip
     trajectory = wrod.plan(pattern, rod, "numeric", closure="min_friction", spacing=0.01, roll=0.3)
-    check_tangents(pattern, rod, trajectory, Friction(4.0, roll=1e4), "euler")
+    check_tangents(pattern, rod, trajectory, Friction(4.0, roll=1e4), "bdf2")
 
 
 def test_friction_by_place_is_a_limit_of_differences(bend):
