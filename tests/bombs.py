@@ -12,6 +12,7 @@ import socket
 import struct
 import zipfile
 import zlib
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,7 @@ def specials(folder: Path, suffix: str) -> dict[str, str]:
     return made
 
 
+@cache
 def bombs(family: str) -> dict[str, bytes]:
     """Contents by kind of a family: texts, json, arrays, tensors, pictures, xml, urdf, xacro, svg,
     dxf, usd, meshes."""
