@@ -1,15 +1,23 @@
-"""The adjoint of a step's contact of edges with solids that stand still: see
+"""The adjoint of a step's contact of edges with solids that stand still or are moved by others: see
 `wrod.kernels.stepping.adjoint`, and `wrod.kernels.contact.edges` for the forces.
 
 Whether an edge touches, sticks or slides counts as it was. What changes is followed forwards, from
 each of the few numbers that one touch depends on: where it touches moves along the edge, and with
-it the normal turns.
+it the normal turns. A solid that moves and turns by u at the point of contact changes there what
+the point would that moves by -u, and turns the normal besides.
 """
 
 import warp as wp
 from wrod.kernels.contact.closest import SMOOTHING, Closest, is_fixture
-from wrod.kernels.contact.edges import EdgeTouch, edge_touch
+from wrod.kernels.contact.edges import (
+    EdgeTouch,
+    edge_relaxation,
+    edge_touch,
+    is_burdened,
+    is_late,
+)
 from wrod.kernels.contact.planes import Touchable, coefficient, damped_force, return_mapping
+from wrod.kernels.contact.shapes import WITH_RODS, shape_displacement
 from wrod.kernels.elastic.assembly import add_vector
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node
 from wrod.kernels.linear.banded_lu import ALONE
@@ -20,7 +28,8 @@ from wrod.kernels.stepping.trace import OneStep, Wanted
 wp.set_module_options({"enable_backward": False})
 
 # Numbers that a touch depends on: nodes at the end of the step, at its start, the bristle; radius,
-# stiffness, relaxation time, smoothing, coefficient of friction.
+# stiffness, relaxation time, smoothing, coefficient of friction; where the solid is and how it is
+# turned at the end of the step, and at its start.
 AT_START = wp.constant(6)
 BRISTLE = wp.constant(12)
 RADIUS = wp.constant(15)
@@ -28,23 +37,43 @@ STIFFNESS = wp.constant(16)
 RELAXATION = wp.constant(17)
 ROUNDING = wp.constant(18)
 COEFFICIENT = wp.constant(19)
+PLACE = wp.constant(20)
+TURN = wp.constant(23)
+PLACE_AT_START = wp.constant(26)
+TURN_AT_START = wp.constant(29)
+
+
+@wp.struct
+class WantedShapes:
+    """What is wanted of shapes (rod, shape) at the end of a step and at its start: of where they
+    are, and of how they are turned, by rotation vectors."""
+
+    place: wp.array2d(dtype=wp.vec3d)
+    turn: wp.array2d(dtype=wp.vec3d)
+    place_at_start: wp.array2d(dtype=wp.vec3d)
+    turn_at_start: wp.array2d(dtype=wp.vec3d)
 
 
 @wp.struct
 class Held:
-    """An edge that is touched: its vector and by how much that changed in the step, smoothing over
-    its length, unprojected stretch and motion of the point of contact, lag, depth and how it grew,
-    normal force, its slope by depth alone, what skin takes off it by the radius, coefficient,
-    stiffness, pull of the bristle, and how this follows the stretch (0 where it slides)."""
+    """An edge that is touched: its vector and by how much that changed in the step, seen from the
+    solid, the arm of the point of contact about the solid's place, and how the solid was turned
+    before (a rotation from now), smoothing over its length, unprojected stretch and motion of the
+    point of contact, relaxation time and lag, depth and how it grew, normal force, its slope by
+    depth alone, what skin takes off it by the radius, coefficient, stiffness, pull of the bristle,
+    and how this follows the stretch (0 where it slides)."""
 
     near: Closest
     edge: wp.vec3d
     change: wp.vec3d
+    arm: wp.vec3d
+    back: wp.mat33d
     smoothing: wp.float64
     stretch: wp.vec3d
     bristle: wp.vec3d
     moved: wp.vec3d
     time: wp.float64
+    relaxation: wp.float64
     lag: wp.float64
     depth: wp.float64
     closing: wp.float64
@@ -74,20 +103,28 @@ def hold(m: Touchable, step: OneStep, c: EdgeTouch, r: int, k: int, i: int) -> H
     n = near.normal
     out.near = near
     out.edge = c.edge
+    shape = m.shapes[r, k]
     head = node(step.dof, r, i) - node(step.dof_before, r, i)
     tail = node(step.dof, r, i + 1) - node(step.dof_before, r, i + 1)
+    point = node(step.dof, r, i) + near.s * c.edge
     out.change = tail - head
+    out.arm = point - shape.position
+    out.back = wp.identity(3, dtype=wp.float64)
+    if shape.moves != 0:
+        out.back = wp.quat_to_matrix(shape.rotation_before * wp.quat_inverse(shape.rotation))
+        out.change = out.change + out.back * c.edge - c.edge
     out.smoothing = c.smoothing
-    out.moved = (ONE - near.s) * head + near.s * tail
+    out.moved = (ONE - near.s) * head + near.s * tail - shape_displacement(shape, point)
     out.stretch = step.edge_bristle[r, k, i] + out.moved
     out.bristle = c.bristle
     out.time = step.span[r]
-    out.lag = m.relaxation[r, i] / out.time
+    out.relaxation = edge_relaxation(m, c, out.time, r, k, i)
+    out.lag = out.relaxation / out.time
     out.depth = c.depth
     out.closing = c.closing
     out.stiffness = c.stiffness
     skin = m.skin[r, i]
-    law = damped_force(c.depth, c.closing, m.relaxation[r, i], out.time, c.stiffness, skin)
+    law = damped_force(c.depth, c.closing, out.relaxation, out.time, c.stiffness, skin)
     out.force = law[0]
     out.slope = law[1] / (ONE + out.lag)
     out.by_skin = -HALF * c.stiffness * skin
@@ -123,17 +160,21 @@ def follow(h: Held, number: int) -> Change:
     by_stiffness = one_of(number, STIFFNESS)
     by_rounding = one_of(number, ROUNDING)
     # Where it touches, and the normal there.
+    turned = part(number, TURN)
     along = (ONE - s) * part(number, 0) + s * part(number, 3)
-    way = part(number, 3) - part(number, 0)
+    along = along - part(number, PLACE) - wp.cross(turned, h.arm)
+    way = part(number, 3) - part(number, 0) - wp.cross(turned, h.edge)
     bent = h.near.bend * h.edge
     shift = wp.float64(0.0)
     if h.near.free > ZERO:
         shift = wp.dot(bent, along) + wp.dot(n, way) + (s - HALF) * by_rounding
         shift = -shift / (wp.dot(h.edge, bent) + h.smoothing)
-    turn = h.near.bend * (along + shift * h.edge)
+    turn = h.near.bend * (along + shift * h.edge) + wp.cross(turned, n)
     # The normal force.
     before = (ONE - s) * part(number, AT_START) + s * part(number, AT_START + 3)
-    moved = along - before + shift * h.change
+    before = before - part(number, PLACE_AT_START)
+    before = before - wp.cross(part(number, TURN_AT_START), h.back * h.arm)
+    moved = h.back * along - before + shift * h.change
     depth = one_of(number, RADIUS) - wp.dot(n, along) - HALF * (s - HALF) * (s - HALF) * by_rounding
     closing = -wp.dot(moved, n) - wp.dot(h.moved, turn)
     deeper = depth + h.lag * wp.where(h.closing < h.depth, closing, depth)
@@ -172,17 +213,17 @@ def find_unknown(
     touching_out: wp.array(dtype=wp.int32),
 ):
     """Say of the chosen rods whether they touch a solid in a way that has no adjoint: one that
-    moves, that turns them or keeps their roll, that they come out of, or that is stiffer for what
-    presses. Launched over (rod, edge)."""
+    moves with rods, that turns them or keeps their roll, or that they come out of. Launched over
+    (rod, edge)."""
     r, i = wp.tid()
     if chosen[r] == 0 or model.radius[r, i] == ZERO:
         return
     for k in range(model.shapes.shape[1]):
-        known = model.shapes[r, k].moves == 0 and hidden[r, i] == ZERO
+        known = model.shapes[r, k].moves != WITH_RODS and hidden[r, i] == ZERO
         known = known and model.rolling[r] == ZERO and model.roll_friction[r, k] < ZERO
         if is_fixture(model.shapes[r, k]):
             c = edge_touch(model, dof, dof_before, wp.vec3d(), r, k, i)
-            if c.force > ZERO and not (known and c.stiffness == model.stiffness[r, i]):
+            if c.force > ZERO and not known:
                 touching_out[r] = 1
 
 
@@ -227,6 +268,26 @@ def wanted_of(c: Change, head: wp.vec3d, tail: wp.vec3d, after: wp.vec3d) -> wp.
     return wp.dot(after, c.bristle) - wp.dot(head, c.at_head) - wp.dot(tail, c.at_tail)
 
 
+@wp.func
+def wanted_of_three(
+    h: Held, first: int, head: wp.vec3d, tail: wp.vec3d, after: wp.vec3d
+) -> wp.vec3d:
+    out = wp.vec3d(ZERO, ZERO, ZERO)
+    for b in range(3):
+        out[b] = wanted_of(follow(h, first + b), head, tail, after)
+    return out
+
+
+@wp.func
+def want_shape(
+    h: Held, head: wp.vec3d, tail: wp.vec3d, after: wp.vec3d, r: int, k: int, by: WantedShapes
+):
+    wp.atomic_add(by.place, r, k, wanted_of_three(h, PLACE, head, tail, after))
+    wp.atomic_add(by.turn, r, k, wanted_of_three(h, TURN, head, tail, after))
+    wp.atomic_add(by.place_at_start, r, k, wanted_of_three(h, PLACE_AT_START, head, tail, after))
+    wp.atomic_add(by.turn_at_start, r, k, wanted_of_three(h, TURN_AT_START, head, tail, after))
+
+
 @wp.kernel
 def want_friction(
     # Model:
@@ -243,11 +304,12 @@ def want_friction(
     by_coefficient: wp.array2d(dtype=wp.float64),
     by: WantedModel,
     by_piece: wp.array2d(dtype=wp.float64),
+    by_shape: WantedShapes,
 ):
     """What is wanted of bristles and nodes at the step's start, of the coefficients (rod, shape),
-    and of masses, lengths and radii, with which contact goes as that with planes does;
-    `stiffness_per_mass` (rod, node) is stiffness over itself and the mass of the piece of the row,
-    if it goes with that. Launched over (rod, edge)."""
+    of shapes that move, and of masses, lengths and radii, with which contact goes as that with
+    planes does; `stiffness_per_mass` (rod, node) is stiffness over itself and the mass of the piece
+    of the row, if it goes with that. Launched over (rod, edge)."""
     r, i = wp.tid()
     if step.active[r] == 0 or model.radius[r, i] == ZERO:
         return
@@ -263,22 +325,28 @@ def want_friction(
             for b in range(6):
                 wanted = wanted_of(follow(h, AT_START + b), head, tail, after)
                 wp.atomic_add(before.dof, r, 4 * (i + b / 3) + b % 3, wanted)
-            for b in range(3):
-                bristle[b] = wanted_of(follow(h, BRISTLE + b), head, tail, after)
+            bristle = wanted_of_three(h, BRISTLE, head, tail, after)
+            if model.shapes[r, k].moves != 0:
+                want_shape(h, head, tail, after, r, k, by_shape)
             friction = wanted_of(follow(h, COEFFICIENT), head, tail, after)
             wp.atomic_add(by_coefficient, r, k, friction)
             by_stiffness = wanted_of(follow(h, STIFFNESS), head, tail, after)
             damped = wanted_of(follow(h, RELAXATION), head, tail, after)
-            damped = HALF * model.relaxation[r, i] * damped
+            damped = HALF * h.relaxation * damped
+            if is_late(model, h.relaxation, h.time, r, k):
+                damped = wp.float64(0.0)
             by_stiffness -= damped / h.stiffness
             stiffened = h.stiffness * by_stiffness
-            share = stiffness_per_mass[r, i]
-            wp.atomic_add(by_piece, r, piece[i], share * stiffened)
             radius = model.radius[r, i] * wanted_of(follow(h, RADIUS), head, tail, after)
-            if share > ZERO:
-                radius -= stiffened
             length = SMOOTHING * wanted_of(follow(h, ROUNDING), head, tail, after)
-            length += stiffened / model.rest_length[r, i]
+            share = stiffness_per_mass[r, i]
+            if h.stiffness == model.stiffness[r, i]:
+                wp.atomic_add(by_piece, r, piece[i], share * stiffened)
+                length += stiffened / model.rest_length[r, i]
+                if share > ZERO:
+                    radius -= stiffened
+            elif is_burdened(model, h.stiffness, r, k, i):
+                radius -= stiffened
             wp.atomic_add(by.rest_length, r, i, length)
             for n in range(2):
                 wp.atomic_add(by.node_mass, r, i + n, damped / (TWO * mean_mass))

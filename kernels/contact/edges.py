@@ -111,6 +111,29 @@ def edge_touch(
     return out
 
 
+@wp.func
+def is_burdened(m: Touchable, stiffness: wp.float64, r: int, k: int, i: int) -> bool:
+    """Whether an edge's stiffness is what a burden wants."""
+    return m.burden.shape[1] > 0 and stiffness == HALF * m.burden[r, k] / m.skin[r, i]
+
+
+@wp.func
+def edge_relaxation(
+    m: Touchable, c: EdgeTouch, dt: wp.float64, r: int, k: int, i: int
+) -> wp.float64:
+    """What is stiffer comes to rest sooner."""
+    out = wp.float64(m.relaxation[r, i] * wp.sqrt(m.stiffness[r, i] / c.stiffness))
+    if m.firmest.shape[1] > 0 and m.firmest[r, k] > ZERO:
+        out = wp.min(out, LATE * dt)
+    return out
+
+
+@wp.func
+def is_late(m: Touchable, relaxation: wp.float64, dt: wp.float64, r: int, k: int) -> bool:
+    """Whether an edge's relaxation time is bounded by the step."""
+    return m.firmest.shape[1] > 0 and m.firmest[r, k] > ZERO and relaxation == LATE * dt
+
+
 @wp.struct
 class EdgeHold:
     """How a fixture holds an edge that it touches: normal force and its slope, the bristle's pull,
@@ -140,10 +163,7 @@ def hold_edge(
 ) -> EdgeHold:
     """`spun` is by how much the edge has turned in this step, `turned` its bristle before."""
     out = EdgeHold()
-    # What is stiffer comes to rest sooner.
-    relaxation = wp.float64(m.relaxation[r, i] * wp.sqrt(m.stiffness[r, i] / c.stiffness))
-    if m.firmest.shape[1] > 0 and m.firmest[r, k] > ZERO:
-        relaxation = wp.min(relaxation, LATE * dt)
+    relaxation = edge_relaxation(m, c, dt, r, k, i)
     law = damped_force(c.depth, c.closing, relaxation, dt, c.stiffness, m.skin[r, i])
     out.force = law[0]
     out.slope = law[1]

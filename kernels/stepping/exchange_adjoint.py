@@ -112,6 +112,26 @@ def turned_back(v: wp.vec3d, angle_of: wp.vec3d) -> wp.vec3d:
     return wp.quat_rotate_inv(wp.quat_from_axis_angle(angle_of / angle, angle), v)
 
 
+@wp.func
+def want_pose(
+    by_body_q: wp.array2d(dtype=wp.float32),
+    body: int,
+    pose: wp.transform,
+    force: wp.vec3d,
+    torque: wp.vec3d,
+):
+    """Add what is wanted of a body's place, and of its turn by a rotation vector."""
+    raw = wp.transform_get_rotation(pose)
+    q = wp.quatd(wp.float64(raw[0]), wp.float64(raw[1]), wp.float64(raw[2]), wp.float64(raw[3]))
+    # A quaternion counts as if it were normalised.
+    wanted = wp.quatd(torque[0], torque[1], torque[2], ZERO) * q
+    size = TWO / wp.dot(q, q)
+    for c in range(3):
+        wp.atomic_add(by_body_q, body, c, float(force[c]))
+    for c in range(4):
+        wp.atomic_add(by_body_q, body, 3 + c, float(size * wanted[c]))
+
+
 @wp.kernel
 def want_poses(
     # Model:
@@ -168,15 +188,7 @@ def want_poses(
         return
     force = (ONE - left) * force
     g = torque + wp.cross(arm, force)
-    raw = wp.transform_get_rotation(body_q[h.body])
-    q = wp.quatd(wp.float64(raw[0]), wp.float64(raw[1]), wp.float64(raw[2]), wp.float64(raw[3]))
-    # A quaternion counts as if it were normalised.
-    wanted = wp.quatd(g[0], g[1], g[2], ZERO) * q
-    size = TWO / wp.dot(q, q)
-    for c in range(3):
-        wp.atomic_add(by_body_q, h.body, c, float(force[c]))
-    for c in range(4):
-        wp.atomic_add(by_body_q, h.body, 3 + c, float(size * wanted[c]))
+    want_pose(by_body_q, h.body, body_q[h.body], force, g)
 
 
 @wp.kernel

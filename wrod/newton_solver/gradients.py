@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import newton
@@ -13,13 +12,16 @@ import warp as wp
 
 from wrod.errors import RodError
 from wrod.kernels.stepping import body_exchange_adjoint as body_kernels
+from wrod.kernels.stepping import carrying_adjoint as carrying_kernels
 from wrod.kernels.stepping import exchange_adjoint as kernels
+from wrod.newton_solver.carried_gradients import CarriedGradients
 from wrod.newton_solver.group import RodGroup
+from wrod.newton_solver.taken_steps import STATE, Ends, Taken, gradient_of, numbers_of
 from wrod.newton_solver.tapes import off_tape, recorded
 from wrod.rods.discretisation import of_free_part
 from wrod.solvers.adjoint import StepAdjoint
 from wrod.solvers.body_adjoint import BodyAdjoint
-from wrod.solvers.trace import Record, Trace, require_differentiable
+from wrod.solvers.trace import Trace, require_differentiable
 
 # Properties with a gradient: in the orders in which `want_properties` and `want_of_rods` take them.
 _OF_NODES = (
@@ -30,7 +32,6 @@ _OF_RODS = ("rod_internal_damping", "rod_air_damping", "rod_radius", "edge_rest_
 PROPERTIES = (*_OF_NODES, *_OF_RODS)
 # Mass that is spread along edges goes with the masses of nodes and the lengths of edges at once.
 _OF_LUMPS = {"node_mass", "edge_rest_length"}
-_STATE = ("node_q", "node_qd", "edge_director", "edge_spin")
 # Steps of a rod that are kept beside those that it should take: where some have to be cut.
 _SPARE = 6
 
@@ -38,80 +39,10 @@ _SPARE = 6
 def leave_gradients(model: newton.Model, consistent: bool) -> None:
     """Take the gradients of properties away that a tape gives none for."""
     der = model.der
-    kept = {*PROPERTIES, *_STATE} - (_OF_LUMPS if consistent else set())
+    kept = {*PROPERTIES, *STATE} - (_OF_LUMPS if consistent else set())
     for name, value in vars(der).items():
         if isinstance(value, wp.array) and name not in kept:
             value.requires_grad = False
-
-
-def _numbers(array: wp.array | None, columns: int, device) -> wp.array:
-    """An array of vectors of single precision as one of numbers."""
-    if array is None or array.size == 0:
-        return wp.zeros((0, columns), dtype=wp.float32, device=device)
-    return wp.array(
-        ptr=array.ptr, dtype=wp.float32, shape=(array.size, columns), device=array.device
-    )
-
-
-def _gradient_of(array: wp.array | None, columns: int, device) -> wp.array:
-    """What is wanted of an array, as numbers; without any if it has no gradient."""
-    return _numbers(None if array is None else array.grad, columns, device)
-
-
-@dataclass(eq=False)
-class Ends:
-    """Arrays that a step has read or written: of `_STATE`, the poses of bodies that others move,
-    and poses, velocities and forces of those that move with rods."""
-
-    rods: tuple[wp.array, ...]
-    body_q: wp.array | None
-    own: tuple[wp.array | None, ...]
-
-    @classmethod
-    def of(cls, state: newton.State, poses: newton.State | None = None) -> Ends:
-        rods = tuple(getattr(state.der, name) for name in _STATE)
-        if any(a.grad is None for a in rods):
-            raise RodError(
-                "a state has no gradients; make it by model.state() of a model that was finalized "
-                "with requires_grad=True"
-            )
-        # Forces of contact pass nothing on, which None says and zeros would not.
-        state.der.node_contact_f.requires_grad = False
-        own = state.body_q, state.body_qd, state.body_f
-        return cls(rods, (state if poses is None else poses).body_q, own)
-
-    def gradients(self) -> list[wp.array]:
-        return [a.grad for a in self.rods]
-
-    def arrays(self) -> list[wp.array]:
-        every = [*self.rods, self.body_q, *self.own]
-        return [a for a in every if a is not None and a.grad is not None and a.size]
-
-
-@dataclass(eq=False)
-class Taken:
-    """A step of a group.
-
-    Attributes:
-        record: the time steps of the rods in it.
-        changed: (row,) which began anew from the state.
-        rotation: (row, hold) of what is held, at its start.
-        director: (edge,) directors that were read.
-        poses: (body,) at its end.
-        duration: how long it was [s].
-        previous: the step before on the same tape.
-        wanted: what later steps want of what no state holds, at its end and before.
-    """
-
-    record: Record
-    changed: wp.array
-    rotation: wp.array
-    director: wp.array
-    poses: wp.array
-    duration: float
-    previous: Taken | None
-    tape: weakref.ref
-    wanted: list[list[wp.array]] | None = None
 
 
 class GroupGradients:
@@ -145,20 +76,21 @@ class GroupGradients:
             dynamics.forget_recording()
         self._last = None
 
-    def take(self, tape: wp.Tape, director: wp.array, poses: wp.array) -> Taken:
-        """The step that was just taken."""
+    def take(self, tape: wp.Tape, director: wp.array, poses: tuple[wp.array, wp.array]) -> Taken:
+        """The step that was just taken, between these poses of the bodies."""
         group = self.group
         assert self._trace is not None
         last = self._last() if self._last is not None else None
         if last is not None and last.tape() is not tape:
             last = None
-        record = self._trace.take()
+        record, touched = self._trace.take(), group.shape_contact
         taken = Taken(
             record,
             wp.clone(group.changed),
             wp.clone(group.held_rotation),
             director,
-            poses,
+            *poses,
+            [] if touched is None else [wp.clone(array) for array in touched.yielding],
             group.duration,
             last,
             weakref.ref(tape),
@@ -186,9 +118,11 @@ class GroupGradients:
             worlds = np.minimum(worlds, len(group.model.gravity) - 1)
             self._rod = wp.array(layout.rod, dtype=wp.int32, device=device)
             self._edge = wp.array(layout.edges, dtype=wp.int32, device=device)
-            self._shapes = None
+            self._shapes = self._carried = None
             if touched is not None:
                 self._shapes = wp.array(touched.indices(), dtype=wp.int32, device=device)
+                if touched.others_move:
+                    self._carried = CarriedGradients(touched, self._adjoint)
             self._world = wp.array(worlds, dtype=wp.int32, device=device)
         return self._adjoint
 
@@ -210,28 +144,37 @@ class GroupGradients:
             kernels.want_written,
             group.place.shape,
             [group.place, capsules, record.count, *record.end, *ends.gradients()],
-            [_numbers(by_poses, 7, group.device), adjoint.now],
+            [numbers_of(by_poses, 7, group.device), adjoint.now],
         )
         if adjoint.bodies is not None:
             adjoint.recall(record, 0)
             body, speeds = adjoint.bodies.bodies.body, ends.own[1]
-            by_speeds = _gradient_of(speeds, 6, group.device)
+            by_speeds = gradient_of(speeds, 6, group.device)
             if speeds is not None and speeds.retain_grad:
                 by_speeds = wp.clone(by_speeds)
             group.batch.launch(
                 body_kernels.want_bodies_written,
                 body.shape,
                 [body, record.count, adjoint.bodies.end],
-                [_numbers(by_poses, 7, group.device), by_speeds, adjoint.bodies.now],
+                [numbers_of(by_poses, 7, group.device), by_speeds, adjoint.bodies.now],
             )
 
     def go_back(self, taken: Taken, ends: Ends) -> None:
         """Add what is wanted of the arrays that the step read."""
         group, adjoint = self.group, self._prepare()
-        by_poses = _gradient_of(ends.body_q, 7, group.device)
-        hold, bodies = group.hold, adjoint.bodies
-        if by_poses.shape[0] == 0 and (hold.numpy()["body"] >= 0).any():
-            raise RodError("the bodies that hold rods have no gradients: body_q requires none")
+        by_poses = gradient_of(ends.body_q, 7, group.device)
+        hold, bodies, carried = group.hold, adjoint.bodies, self._carried
+        needed = carried is not None or (hold.numpy()["body"] >= 0).any()
+        if by_poses.shape[0] == 0 and needed:
+            raise RodError("the bodies of the model have no gradients: body_q requires none")
+        by_before = None
+        if carried is not None:
+            by_before = wp.zeros_like(by_poses)
+            carried.begin(taken)
+            if taken.wanted_of_poses is not None:
+                group.batch.launch(
+                    carrying_kernels.add_poses, by_poses.shape, [taken.wanted_of_poses], [by_poses]
+                )
 
         def held(step: Any) -> None:
             group.batch.launch(
@@ -250,7 +193,16 @@ class GroupGradients:
                     [adjoint.model.rest_length],
                 )
 
-        adjoint.go_back(taken.record, held)
+        if carried is None:
+            adjoint.go_back(taken.record, held)
+        else:
+
+            def held_and_carried(step: Any) -> None:
+                held(step)
+                carried.want(step, taken, by_before, by_poses)
+
+            adjoint.go_back(taken.record, held_and_carried, lambda step: carried.place(step, taken))
+            carried.end()
         adjoint.settle(taken.changed)
         if bodies is not None:
             self._want_bodies(bodies, taken, ends)
@@ -273,6 +225,7 @@ class GroupGradients:
         batch.launch(kernels.want_nodes_read, shape, [group.place], [now, by_q, by_qd])
         if taken.previous is not None:
             taken.previous.wanted = [level.clone() for level in adjoint.levels[:2]]
+            taken.previous.wanted_of_poses = by_before
         self._want_properties(adjoint)
 
     def _want_bodies(self, bodies: BodyAdjoint, taken: Taken, ends: Ends) -> None:
@@ -286,7 +239,7 @@ class GroupGradients:
         )
         device = self.group.device
         by_q, by_qd, by_f = (
-            _gradient_of(a, n, device) for a, n in zip(ends.own, (7, 6, 6), strict=True)
+            gradient_of(a, n, device) for a, n in zip(ends.own, (7, 6, 6), strict=True)
         )
         batch.launch(
             body_kernels.want_bodies_read,
@@ -311,7 +264,7 @@ class GroupGradients:
             kernels.want_properties,
             group.place.shape,
             [group.place, self._world, *self._shares, adjoint.model],
-            [*outputs, _numbers(model.gravity.grad, 3, group.device)],
+            [*outputs, numbers_of(model.gravity.grad, 3, group.device)],
         )
         group.batch.launch(
             kernels.want_of_rods,
@@ -346,9 +299,9 @@ class Gradients:
 
     def listen(
         self, tape: wp.Tape | None, parts: int, state_in, state_out, moved
-    ) -> Callable[[wp.array], None] | None:
+    ) -> Callable[[wp.array, wp.array], None] | None:
         """What puts the step that comes now on the tape, if there is one, given the bodies' poses
-        at its end; without one nothing is kept.
+        at its start and at its end; without one nothing is kept.
 
         Raises:
             RodError: the step has no adjoint, or a state no gradients. What is returned raises it,
@@ -365,8 +318,8 @@ class Gradients:
             group.listen(parts)
         director = wp.clone(state_in.der.edge_director, requires_grad=False)
 
-        def put(poses: wp.array) -> None:
-            kept = wp.clone(poses)
+        def put(*poses: wp.array) -> None:
+            kept = tuple(wp.clone(p) for p in poses)
             self._put(tape, before, after, [g.take(tape, director, kept) for g in self._groups])
 
         return put

@@ -35,6 +35,7 @@ class ShapeContact:
 
     Attributes:
         contact: of the rods with these shapes.
+        others_move: whether others move bodies of some.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class ShapeContact:
         self._body = wp.array(carriers.body, dtype=wp.int32, device=self._device)
         self._place = wp.array(carriers.place, dtype=wp.vec3d, device=self._device)
         self._turn = wp.array(carriers.turn, dtype=wp.quatd, device=self._device)
-        self._others_move = bool((carriers.body >= 0).any())
+        self.others_move = bool((carriers.body >= 0).any())
         self._mass = carriers.mass
         self._carried: CarriedShapes | None = None
         # What is given holds for what others move.
@@ -99,6 +100,11 @@ class ShapeContact:
         if self.contact.solids is not None:
             self.contact.solids.count_near(dof)
 
+    @property
+    def yielding(self) -> list[wp.array]:
+        """See `EdgeContact.yielding`."""
+        return [] if self.contact.solids is None else self.contact.solids.yielding
+
     def shaken(self, duration: float) -> dict[int, float]:
         """Bodies that others move, which rods touch, and which steps of that duration shake: their
         longest steps. Waits for the device."""
@@ -127,9 +133,14 @@ class ShapeContact:
         if self._carried is not None:
             self._carried.move(carriers.place, carriers.turn)
 
+    @property
+    def carriers(self) -> tuple[wp.array, wp.array]:
+        """(row, shape) bodies that others move, -1 for none, and the shapes' places on them."""
+        return self._body, self._place
+
     def follow(self, duration: float, times: list, poses: list) -> None:
         """Put shapes to where others have moved their bodies: arguments of `carry_shapes`."""
-        if self._others_move:
+        if self.others_move:
             where = [self._body, self._place, self._turn, wp.float64(duration)]
             wp.launch(
                 carrying.carry_shapes,
@@ -143,7 +154,7 @@ class ShapeContact:
         self, body_com: wp.array, body_q: wp.array, force: wp.array, torque: wp.array
     ) -> None:
         """Add what rods did at the end of the last step to bodies that others move."""
-        if self._others_move:
+        if self.others_move:
             wp.launch(
                 carrying.measure_pushes,
                 dim=self._body.shape,

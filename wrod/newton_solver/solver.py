@@ -59,11 +59,12 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
     copied and set back at will.
 
     Of a model that was finalized with `requires_grad=True`, steps on a `wp.Tape` have gradients, by
-    the adjoint of the steps as they are taken: by `state.der`, `body_q` of kinematic bodies that
-    hold rods, `body_q`, `body_qd` and `body_f` of free ones, `gravity`, `shape_material_mu`, and
-    `model.der`'s stretching, bending and twisting stiffness, natural curvature and twist, internal
-    and air damping, radii, and node masses and rest lengths (both not for "consistent" inertia).
-    Others have no `grad`. Rods may touch planes that stand still; all else is refused.
+    the adjoint of the steps as they are taken: by `state.der`, `body_q` of bodies that others move
+    and that hold or touch rods, `body_q`, `body_qd` and `body_f` of free ones, `gravity`,
+    `shape_material_mu`, and `model.der`'s stretching, bending and twisting stiffness, natural
+    curvature and twist, internal and air damping, radii, and node masses and rest lengths (both not
+    for "consistent" inertia). Others have no `grad`. Rods may touch planes that stand still, and
+    solids; all else is refused.
 
     Example
     -------
@@ -246,9 +247,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         Raises:
             RodError: dt is not positive, a state was made from another model, or, on a CPU, holds
                 numbers that are not finite (a GPU cuts such rods out, as `diverged` and a warning
-                of the next step say), or, while a tape is recorded, the step has no gradients: rods
-                with a past by the midpoint rule, or that touch anything but planes, or a body that
-                this solver moves touches something.
+                of the next step say), or, while a tape is recorded, the step has no gradients:
+                docs/newton.md lists what has none.
         """
         with retold_as(RodError):
             self.validate_observables(observables, contacts)
@@ -295,7 +295,7 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         for group in self._groups:
             group.step(state_in, contacts, dt, dt / parts)
         if put is not None:
-            put(after)
+            put(before, after)
         wp.copy(before, after)
         self._force.zero_()
         self._torque.zero_()

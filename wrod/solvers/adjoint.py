@@ -53,6 +53,8 @@ class StepAdjoint:
             start, and a step earlier; edges are differentiated by the turn of their frames.
         model: `wrod.kernels.stepping.model_adjoint.WantedModel`, summed up until `clear`.
         by_friction: (rod, shape) derivatives by the coefficients of friction, likewise.
+        by_shape: `wrod.kernels.contact.edge_adjoint.WantedShapes` of those that moved, summed up
+            until it is taken.
         held: (rod, dof) what is wanted of what is moved, at the end of the step gone through last.
         step: that step, `wrod.kernels.stepping.trace.OneStep`.
         gradient: (rod, dof) its residual.
@@ -151,7 +153,10 @@ class StepAdjoint:
 
         self._coupling = floats(0 if self._planes is None else nodes, dtype=wp.mat33d)
         self._block = floats(0 if self._solids is None else nodes - 1, dtype=kernels.EdgeBlock)
-        self.by_friction = floats(self.now.bristle.shape[1])
+        self.by_friction = floats(shapes := self.now.bristle.shape[1])
+        self.by_shape = edge_adjoint.WantedShapes()
+        for name in edge_adjoint.WantedShapes.vars:
+            setattr(self.by_shape, name, floats(shapes, dtype=wp.vec3d))
         if stiffness_of_mass is None:
             stiffness_of_mass = np.zeros((rods, nodes))
         self._stiffness_share = numbers(stiffness_of_mass)
@@ -179,10 +184,12 @@ class StepAdjoint:
         if self.bodies is not None:
             self.bodies.clear()
 
-    def go_back(self, record: Record, held=None) -> None:
+    def go_back(self, record: Record, held=None, place=None) -> None:
         """Go from the end of a record to its start.
 
         Args:
+            place: called with every step before it is gone through, to put shapes that moved to
+                where they were.
             held: called with where rods are (`OneStep`), once or, where steps go on from their
                 middle, twice a step: `held` is what is wanted of what is moved there.
         """
@@ -195,6 +202,8 @@ class StepAdjoint:
                 for own, there in zip((end.dof, end.director), after, strict=True):
                     wp.copy(own, there)
             self.recall(record, back)
+            if place is not None:
+                place(self.step)
             if self._goes_halfway:
                 batch.launch(
                     midpoint_adjoint.find_halfway, batch.rod_count, [self.step], [end.active]
@@ -332,7 +341,7 @@ class StepAdjoint:
                 edge_adjoint.want_friction,
                 self._block.shape,
                 [self._solids.memory[0], self._per_mass, *rods],
-                outputs,
+                [*outputs, self.by_shape],
             )
 
     def _solve(self) -> None:

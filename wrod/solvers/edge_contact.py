@@ -104,6 +104,11 @@ class EdgeContact:
             self._model.near.zero_()
             self._launch(kernels.count_near, [dof], [self._model])
 
+    @property
+    def yielding(self) -> list[wp.array]:
+        """What decides how stiff shapes are that are pressed gently: nothing if none is."""
+        return [self._model.firmest, self._model.near] if self.yields else []
+
     def bearing(self) -> np.ndarray:
         """See `Contact.bearing`."""
         m = self._model

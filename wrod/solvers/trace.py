@@ -199,8 +199,9 @@ class Trace:
         if touched.any():
             raise RodError(
                 f"row {int(np.flatnonzero(touched)[0])} of rods touches something in this step "
-                "through which gradients are not there; they are through shapes that stand still, "
-                "of rods without natural curvature that begin outside them"
+                "through which gradients are not there; they are through planes that stand still, "
+                "and through solids that stand still or that others move, of rods without natural "
+                "curvature that begin outside them"
             )
         state = self.batch.state
         return Record(
