@@ -13,7 +13,9 @@ from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import quadratic_drag
 from wrod.rods.model import RodModel
 from wrod.rods.state import full_hessian
+from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import SCHEMES, Dynamics
+from wrod.solvers.solids import Box
 from wrod.solvers.statics import prescribe, solve_equilibria
 
 ROOT = 1.875104068711961  # first root of cos(x) cosh(x) = -1
@@ -376,3 +378,6 @@ def test_bad_options_are_refused():
     )
     with pytest.raises(RodError, match="mass"):
         Dynamics(massless, radius=0.01)
+    box = Box(center=(0.0, 0.0, -1.0), half_size=(0.1, 0.1, 0.1))
+    with np.errstate(all="raise"):  # equilibria may touch solids without any
+        Contact(massless, 0.01, 1.0, Friction(0.3), (box,))

@@ -43,6 +43,9 @@ _BELOW, _STRETCHED = 0.01, 1.05
 class Trajectory:
     """Grip poses of a deployment, one per contact node. SI units, z up.
 
+    Arrays are read-only copies, so that what was checked stays as it was; SciPy's `Rotation.apply`
+    wants a copy of them that can be written to (`position.copy()`).
+
     Attributes:
         arc_length: (T,) length of rod that lies on the table, from 0 and including a remainder [m].
         contact: (T, 3) contact point between laid and suspended part [m].

@@ -51,10 +51,9 @@ class EdgeContact:
         model.stiffness = floats(stiffness)
         model.relaxation = floats(damping[:, None] * np.sqrt(mass / stiffness))
         # What is hidden comes out at a hundredth of the speed at which contact stops within a
-        # radius: faster, it loses its grip on the way.
-        self._speed = floats(
-            _EMERGING * radius * np.sqrt(stiffness / np.maximum(mass, 1e-12 * mass.max()))
-        )
+        # radius: faster, it loses its grip on the way. Rods without any mass have no speed.
+        light = max(1e-12 * mass.max(), np.finfo(float).tiny)
+        self._speed = floats(_EMERGING * radius * np.sqrt(stiffness / np.maximum(mass, light)))
         self._hidden = wp.zeros(radius.shape, dtype=wp.float64, device=device)
         table = model.shapes.shape
         shape = (batch.rod_count, table[1], edges)
