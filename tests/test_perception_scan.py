@@ -208,6 +208,32 @@ def test_two_curves_where_one_is_wanted(camera, layout):
         wrod.scan(picture, markers=layout)
 
 
+def test_a_line_that_turns_back_in_a_point_is_not_called_two_without_saying_so(camera, layout):
+    turn = np.linspace(1.2, 4.0 * np.pi - 1.2, 900)
+    cycloid = [0.02, 0.08] + 0.02 * np.column_stack([turn - np.sin(turn), 1.0 - np.cos(turn)])
+    with pytest.raises(
+        PerceptionError, match=r"round the sharp point, .*, at \(\d+, \d+\), or cover"
+    ):
+        wrod.scan(drawing(camera, layout, cycloid), markers=layout)
+
+
+def test_a_stroke_seen_obliquely_is_explained_whole(layout):
+    """It is twice as thick in front as at the back, and all of it is the stroke's."""
+    low = TopCamera(
+        (0.16, -0.1, 0.11), (WIDTH / 2, 0.1, 0.0), size=(1920, 1280), focal_length=900.0
+    )
+    angle = np.linspace(-1.0, np.pi + 1.0, 900)
+    arc = np.column_stack([0.15 + 0.1 * np.cos(angle), 0.1 + 0.08 * np.sin(angle)])
+    flat = np.column_stack([arc, np.zeros(len(arc))])
+    found = read_scan(
+        low.render([flat], 0.0012, layout=layout, color=(30, 40, 120)), markers=layout
+    )
+    line = found.single()
+    assert line.half_width.max() > 2.0 * line.half_width.min()
+    assert line.area == pytest.approx(np.count_nonzero(found.mask), rel=0.02)
+    assert mean_distance(found.metric_lines()[0], arc) < 5e-5
+
+
 def test_missing_and_doubled_markers_are_named(camera, layout):
     three = MarkerLayout({i: layout.corners[i] for i in (0, 1, 2)}, layout.paper)
     with pytest.raises(PerceptionError, match="marker 3 is not in the picture"):

@@ -306,7 +306,8 @@ def refuse_spikes(points: np.ndarray, raw: RawPoints, corners: np.ndarray) -> No
     if excess[worst] > 1.0:
         raise PatternError(
             f"{raw.where(worst + 1)}: stands {off[worst]:.2g} m off the curve of its "
-            "neighbours, a spike of curvature; remove or correct the point"
+            "neighbours, a spike of curvature; remove or correct the point, or round the curve "
+            "there, if it turns back on itself"
         )
 
 

@@ -1,5 +1,6 @@
 """From a picture to a metric pattern."""
 
+import itertools
 import os
 import warnings
 from dataclasses import dataclass, field, replace
@@ -22,6 +23,8 @@ PATTERN_POINTS = 400
 # best: nobody draws better, and a curve through every point of it bends to and fro, and the grip's
 # path with it.
 _LEAST_SHARE, _LEAST_NOISE = 0.03, 5e-5
+# Ends of two curves meet within so many of their radii together.
+_MEET = 4.0
 CORNERS = ("lower-left", "lower-right", "upper-left", "upper-right")
 
 
@@ -64,9 +67,21 @@ class Scan:
             )
             raise PerceptionError(
                 f"{self.name}: the picture holds {len(self.lines)} curves ({seen}) where one is "
-                "wanted; cover or erase the others (`wrod scan --several` draws what it sees)"
+                f"wanted; {self._meeting()}cover or erase the others (`wrod scan --several` draws "
+                "what it sees)"
             )
         return self.lines[0]
+
+    def _meeting(self) -> str:
+        """What to do where an end lies at another curve's end: a line turns back on itself there,
+        or has a gap."""
+        for line, other in itertools.combinations(self.lines[:4], 2):
+            for a, b in itertools.product(line.points[[0, -1]], other.points[[0, -1]]):
+                if np.hypot(*(a - b)) < _MEET * (line.radius + other.radius):
+                    return (
+                        f"round the sharp point, or close the gap, at ({a[0]:.0f}, {a[1]:.0f}), or "
+                    )
+        return ""
 
 
 def _is_array(value):

@@ -46,6 +46,14 @@ class Centerline:
         """Length of the polyline [px]."""
         return float(arc_length(self.points)[-1])
 
+    @property
+    def area(self) -> float:
+        """Of the strand [px^2], whose width changes in an oblique view; what is twice as wide as
+        its middle is a blob, and counts with its middle's width."""
+        wide = np.where(self.half_width < 2.0 * self.radius, self.half_width, self.radius)
+        caps = 0.5 * np.pi * (wide[0] ** 2 + wide[-1] ** 2)
+        return float(2.0 * np.trapezoid(wide, arc_length(self.points)) + caps)
+
     def __array__(self, dtype=None, copy=None):
         return np.array(self.points, dtype=dtype)
 
@@ -127,13 +135,12 @@ def trace_mask(mask: np.ndarray, foreground: np.ndarray | None = None) -> list[C
         raise PerceptionError(
             "the picture holds no rod or stroke (only specks); check mask and exposure"
         )
-    drawn = sum(line.radius * (2.0 * line.length + np.pi * line.radius) for line in lines)
-    share = drawn / cv2.countNonZero(clean)
+    share = sum(line.area for line in lines) / cv2.countNonZero(clean)
     if share < EXPLAINED:
         raise PerceptionError(
             f"only {100 * share:.0f} % of what stands out of the background has the shape of rods "
-            "or strokes; crop the picture to the plain sheet or table, or give markers, the rod's "
-            "colour or a mask"
+            "or strokes; cover what else lies between markers, crop the picture to the plain sheet "
+            "or table, or give the rod's colour or a mask"
         )
     return sorted(lines, key=lambda line: -line.length)
 
@@ -285,8 +292,9 @@ def _cut_ends(points, width, foreground, radius):
             points = np.vstack([points, beyond[1:end]])
             width = np.r_[width, np.repeat(width[-1], max(end - 1, 0))]
             continue
-        drop = radius - max(end - 0.5, 0.0)
         arc = arc_length(points)
+        own = np.median(width[arc > arc[-1] - 6.0 * radius])  # nearer or farther than the middle
+        drop = own - max(end - 0.5, 0.0)
         if drop > 0:
             keep = arc <= arc[-1] - drop
             if keep.sum() >= 2:
