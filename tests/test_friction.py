@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 import wrod
-from wrod.errors import PatternError
 from wrod.planning.friction import friction_bound
 
 ROD = wrod.rod("green-vps")
@@ -20,18 +19,6 @@ def test_required_friction_of_a_known_curvature():
     np.testing.assert_allclose(bound.required[8:-8], exact[8:-8], atol=0.06)
 
 
-def test_stretches_without_enough_friction():
-    pattern = wrod.pattern("letter-L")
-    bound = friction_bound(pattern, ROD, friction=1.0)
-    inside = np.zeros(len(bound.arc_length), dtype=bool)
-    for start, stop in bound.insufficient:
-        inside |= (bound.arc_length >= start) & (bound.arc_length <= stop)
-    np.testing.assert_array_equal(inside, bound.required > 1.0)
-    assert 0 < inside.sum() < len(inside)
-    assert friction_bound(pattern, ROD, friction=100.0).insufficient == []
-    assert friction_bound(pattern, ROD).insufficient == []
-
-
 def test_density_drops_out():
     heavy = wrod.RodMaterial(ROD.radius, ROD.gravito_bending_length, ROD.length, density=5000.0)
     pattern = wrod.pattern("letter-S")
@@ -46,8 +33,3 @@ def test_long_remainder_needs_less_friction_than_a_short_one():
         friction_bound(circle.with_remainder(length), ROD).required.max() for length in (0.07, 0.14)
     )
     assert short == pytest.approx(4.0 * long, rel=1e-2)
-
-
-def test_friction_must_be_positive():
-    with pytest.raises(PatternError, match="friction"):
-        friction_bound(wrod.pattern("line"), ROD, friction=0.0)

@@ -15,6 +15,7 @@ from wrod.deployment.corrections import Corrections, pace_of
 from wrod.deployment.descent import State, Task, descend
 from wrod.deployment.expectation import (
     Unseen,
+    _stretches,
     balanced,
     expect,
     is_better,
@@ -472,3 +473,9 @@ def test_friction_that_is_none_is_refused(friction):
 def test_the_intuitive_method_is_not_corrected():
     with pytest.raises(GraspError, match="intuitive"):
         wrod.plan(wrod.pattern("line"), replace(ROD, length=0.9), "intuitive", friction=0.3)
+
+
+def test_a_stretch_of_one_point_is_as_long_as_what_the_point_stands_for():
+    ends = np.array([True, False, False, True])
+    assert _stretches(np.arange(4.0), ends) == [[0.0, 0.5], [2.5, 3.0]]
+    assert _stretches(np.arange(4.0), ~ends) == [[0.5, 2.5]]

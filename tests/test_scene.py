@@ -221,6 +221,24 @@ def test_the_table_reaches_to_where_the_rod_falls(letter):
     assert table.top == pytest.approx(letter.contact[:, 2].min() - 0.0016)
 
 
+@pytest.mark.parametrize("bearing", np.linspace(0.0, 2.0 * np.pi, 17)[:-1])
+def test_the_table_is_off_the_pedestal_wherever_the_pattern_lies(bearing):
+    from types import SimpleNamespace
+
+    from wrod.robot.placement import Placement
+    from wrod.scene.workplace import COLUMN, table_under
+
+    place = Placement(*(0.4 * np.array([np.cos(bearing), np.sin(bearing)])), -0.3, 0.7)
+    contact = 0.1 * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [-1, -1, 0]])
+    robot = SimpleNamespace(mount=np.eye(4))
+    table = table_under(contact, SimpleNamespace(placement=place, robot=robot), 0.002)
+    assert np.hypot(*np.clip(0.0, table.low, table.high)) >= COLUMN
+    pose = place.base_from_world
+    lies = contact @ pose[:3, :3].T + pose[:3, 3]
+    assert (lies[:, :2] > table.low).all() and (lies[:, :2] < table.high).all()
+    assert (table.high - table.low >= 0.2).all()
+
+
 @pytest.mark.parametrize(
     "change, says",
     [

@@ -263,8 +263,10 @@ def edged(mesh: Discretisation, longest: float) -> Discretisation:
 
 
 def _stretches(s: np.ndarray, chosen: np.ndarray) -> list[list[float]]:
+    """From and to where the chosen points lie, each of which stands for what is nearest to it."""
+    borders = np.concatenate([s[:1], 0.5 * (s[1:] + s[:-1]), s[-1:]])
     edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(int), [0]])))
-    return [[float(s[i]), float(s[j - 1])] for i, j in zip(edges[::2], edges[1::2], strict=True)]
+    return borders[edges].reshape(-1, 2).tolist()
 
 
 def misplacement(pattern: Pattern, laid: Laid) -> tuple[np.ndarray, np.ndarray]:

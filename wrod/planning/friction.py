@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import PatternError, RodError
+from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -18,37 +18,15 @@ class FrictionBound:
     Attributes:
         arc_length: (n,) [m]; negative on the remainder.
         required: (n,) least static friction coefficient [-].
-        friction: the coefficient that there is, or None.
     """
 
     arc_length: np.ndarray
     required: np.ndarray
-    friction: float | None = None
-
-    @property
-    def insufficient(self) -> list[tuple[float, float]]:
-        """Stretches (from, to) of arc length [m] where the friction that there is does not do."""
-        if self.friction is None:
-            return []
-        lacking = np.concatenate([[False], self.required > self.friction, [False]])
-        edges = np.flatnonzero(np.diff(lacking.astype(int)))
-        starts, stops = edges[::2], edges[1::2] - 1
-        return [
-            (float(self.arc_length[i]), float(self.arc_length[j]))
-            for i, j in zip(starts, stops, strict=True)
-        ]
 
 
-@arguments.checked(
-    RodError,
-    friction=arguments.optional(arguments.number(0.0, 1e3)),
-    spacing=arguments.number(1e-5, 10.0),
-)
+@arguments.checked(RodError, spacing=arguments.number(1e-5, 10.0))
 def friction_bound(
-    pattern: Pattern,
-    rod: RodModel | RodMaterial,
-    friction: float | None = None,
-    spacing: float = 0.001,
+    pattern: Pattern, rod: RodModel | RodMaterial, spacing: float = 0.001
 ) -> FrictionBound:
     """Static friction that holds the pattern: mu_s >= k_b ``|kappa''|`` / (rho A g).
 
@@ -58,15 +36,11 @@ def friction_bound(
     Args:
         pattern: with its remainder, if it has one.
         rod: the `RodMaterial` or `RodModel` that is laid.
-        friction: static friction coefficient mu_s of the substrate [-].
         spacing: distance between the points looked at [m].
 
     Raises:
-        PatternError: friction or spacing is not a positive finite number.
+        RodError: spacing is not within 1e-5 to 10.
     """
-    for name, value in (("friction", friction), ("spacing", spacing)):
-        if value is not None and arguments.wrong(arguments.number(above=0.0), value):
-            raise PatternError(f"{name} is {arguments.shown(value)}; give a positive number")
     first = -pattern.remainder_length
     count = max(int(np.ceil((pattern.length - first) / spacing)), 2) + 1
     s = np.linspace(first, pattern.length, count)
@@ -74,4 +48,4 @@ def friction_bound(
     model, laid = RodModel.of(rod), s - first
     stiffness = 0.5 * sum(b(laid) for b in model.bending_stiffness)
     required = stiffness * np.abs(acceleration) / (model.line_mass(laid) * model.gravity)
-    return FrictionBound(s, required, friction)
+    return FrictionBound(s, required)

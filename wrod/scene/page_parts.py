@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from wrod.errors import SceneError
 from wrod.robot.mesh import read_mesh
 from wrod.robot.urdf import LinkShape
-from wrod.scene.workplace import BASE_HEIGHT
+from wrod.scene.workplace import BASE_HEIGHT, COLUMN
 
 _LINE = 3.5  # [px] of the rod's line
 _SIDES = 10  # of the rod's tube
@@ -168,7 +168,7 @@ class ShownArm:
             below = base @ robot.mount
             below[:3, 3] -= below[:3, 2] * (BASE_HEIGHT / 2)
             server.scene.add_cylinder(
-                "/stand", radius=0.09, height=BASE_HEIGHT, color=_LEG, **pose_of(below)
+                "/stand", radius=COLUMN, height=BASE_HEIGHT, color=_LEG, **pose_of(below)
             )
 
     def places(self) -> np.ndarray:

@@ -9,6 +9,7 @@ from wrod.scene.primitives import Materials, add_curve, add_shape
 
 TABLE_THICKNESS = 0.03  # [m]
 BASE_HEIGHT = 0.9  # [m] of the robot's base above the floor, on its pedestal
+COLUMN = 0.09  # [m] radius of that
 _WOOD, _LEG, _FLOOR = (0.50, 0.38, 0.26), (0.30, 0.31, 0.33), (0.42, 0.44, 0.47)
 _INK, _ROD, _PATH = (0.10, 0.22, 0.55), (0.10, 0.50, 0.22), (0.95, 0.62, 0.12)
 ROD_COLORS = {
@@ -70,10 +71,17 @@ def table_under(contact: np.ndarray, path: JointPath | None, rod_radius: float) 
     to_base = path.placement.base_from_world
     local = contact @ to_base[:3, :3].T + to_base[:3, 3]
     low, high = local[:, :2].min(0) - margin, local[:, :2].max(0) + margin
-    # Off the pedestal where the pattern lies before it; never smaller than a real table.
-    x, y, z = path.robot.mount[:3, 3]
-    low[0] = min(max(low[0], x + 0.20), local[:, 0].min() - 0.02)
-    low[1], high[1] = min(low[1], y - 0.35), max(high[1], y + 0.35)
+    # Off the pedestal, in front of it if the pattern is; never smaller than a real table.
+    foot, z = path.robot.mount[:2, 3], float(path.robot.mount[2, 3])
+    beyond, before = local[:, :2].min(0) - foot, foot - local[:, :2].max(0)
+    ahead = beyond[0] - 0.02 > COLUMN
+    axis = 0 if ahead or max(beyond[0], before[0]) > max(beyond[1], before[1]) else 1
+    if ahead or beyond[axis] > before[axis]:
+        low[axis] = foot[axis] + min(max(low[axis] - foot[axis], 0.20), beyond[axis] - 0.02)
+    else:
+        high[axis] = foot[axis] - min(max(foot[axis] - high[axis], 0.20), before[axis] - 0.02)
+    low[1 - axis] = min(low[1 - axis], foot[1 - axis] - 0.35)
+    high[1 - axis] = max(high[1 - axis], foot[1 - axis] + 0.35)
     top = float(local[:, 2].min()) - rod_radius
     floor = min(z - BASE_HEIGHT, top - TABLE_THICKNESS)
     return TableTop(path.placement.world_from_base, low, high, top, floor)
@@ -95,7 +103,7 @@ def add_table(stage, path: str, table: TableTop, materials: Materials) -> None:
 def add_stand(stage, path: str, base: np.ndarray, height: float, materials: Materials) -> None:
     """A column from the floor up to an arm's base (4, 4) [m]."""
     for name, radius, tall, down in (
-        ("column", 0.09, height, height / 2),
+        ("column", COLUMN, height, height / 2),
         ("foot", 0.22, 0.03, height - 0.015),
     ):
         pose = np.array(base, dtype=float)
