@@ -24,10 +24,12 @@ class _Worker:
         script = Path(__file__).with_name("grasp_worker.py")
         run = f"import runpy; runpy.run_path({str(script)!r}, run_name='__main__')"
         self.root = root
+        self.told = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-c", run, str(root.resolve()), str(inputs), device],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            stderr=self.told,
             text=True,
             start_new_session=True,
             cwd=inputs.parent,
@@ -50,9 +52,12 @@ class _Worker:
             if line.startswith("seconds "):
                 _, seconds, converged = line.split()
                 return float(seconds), float(converged)
-        raise WrodError(f"{self.root}: its wrod did not solve {count} grasps; see above")
+        self.told.seek(0)
+        why = (self.told.read().splitlines() or ["it ended"])[-1][:300]
+        raise WrodError(f"{self.root}: its wrod did not solve {count} grasps ({why})")
 
     def end(self) -> None:
+        self.told.close()
         self.process.kill()
         self.process.wait()
 

@@ -151,6 +151,8 @@ def _said(name: str, estimate, found) -> str:
     size = f"{found.friction:.3f}"
     if name == "log_L_gb":
         size = f"{100 * found.rod.gravito_bending_length:.3f} cm"
+    if estimate.stderr > 3.0:  # twenty times as large or as small
+        return f"  {name.removeprefix('log_')}: {size}, of which the rods tell nothing"
     low, high = (100 * math.expm1(estimate.value + k * estimate.stderr) for k in (-1, 1))
     change = f"{(low + high) / 2:+.2f} ± {(high - low) / 2:.2g} %"
     return f"  {name.removeprefix('log_')}: {size}, {change} beside the given one"

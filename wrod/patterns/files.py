@@ -106,8 +106,9 @@ def _read_text(path: Path) -> RawPoints:
             units = _declared_units(content, path, number) or units
             columns = _columns(content) or columns
             named = columns is not None
-            words = set(_SPLIT.split(content.lower()))
-            if not named and content[0] not in "#%" and _OTHER_AXES & words:
+            other = _OTHER_AXES & set(_SPLIT.split(content.lower()))
+            many = len(re.split(r"[,;\t]", content)) > 3  # the first ones may be of anything
+            if not named and content[0] not in "#%" and (other or many):
                 raise PatternError(
                     f"{path}, line {number}: {content[:60]!r} names other columns than x and y; "
                     "give coordinates on the table"

@@ -165,9 +165,15 @@ def fit_laid(
         options: those of `wrod.simulate_deployments`.
 
     Raises:
-        DataError: no iteration is asked for, or the simulation of the believed rod diverged.
+        DataError: no iteration is asked for, the simulation of the believed rod diverged, or a
+            friction is to be found that begins at 0.
     """
     law = friction if isinstance(friction, Friction) else Friction(friction)
+    if fit_friction and law.static == 0.0:
+        raise DataError(
+            "friction is 0, and another is found as so many times the given one; begin with one "
+            "that the table may have, such as 0.4"
+        )
     roll = trajectory.roll
     active = list(range(len(PARAMETERS) if fit_friction else len(_OF_ROD)))
     runs = (1 + len(active)) * iterations + 1
