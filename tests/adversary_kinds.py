@@ -28,8 +28,12 @@ MORE = {
         ["line", "--rod", "green-vps", "--controller", "{controller.safetensors}", "--method",
          "neural", "--no-robot", "--no-expect", "--no-shapes", "--spacing", "0.02", "--out",
          "{out}"],
+        ["{drawing.dxf}", "--rod", "{model.json}", "--method", "numeric", "--no-robot",
+         "--no-expect", "--spacing", "0.05", "--out", "{out}"],
     ],
     "deploy": [
+        ["line", "--rod", "{model.json}", "--method", "intuitive", "--speed", "0.5", "--device",
+         "cpu", "--out", "{out}"],
         ["line", "--rod", "{rod.json}", "--trajectory", "{plan.npz}", "--speed", "0.5",
          "--fixtures", "{fixtures.json}", "--device", "cpu", "--out", "{out}"],
     ],
@@ -40,8 +44,13 @@ MORE = {
         ["{line.npz}", "--pattern", "line", "--trajectory", "{plan.npz}", "--rod", "{rod.json}",
          "--iterations", "1", "--fit-friction", "--table", "{out}.table.json", "--out",
          "{out}.json"],
+        ["{deployment.npz}", "--pattern", "line", "--trajectory", "{plan.npz}", "--rod",
+         "{model.json}", "--noise", "0.001", "--iterations", "0", "--holding"],
     ],
-    "show": [["{points.svg}", "--rod", "{rod.json}", "--out", "{out}.png"]],
+    "show": [
+        ["{drawing.dxf}", "--rod", "{model.json}", "--out", "{out}.png"],
+        ["{points.svg}", "--rod", "{rod.json}", "--out", "{out}.png"],
+    ],
     "identify": [["{motion.npz}", "--effect", "quadratic_drag", "--out", "{out}"]],
     "bench table3": [
         ["--trials", "2", "--rod", "green-vps", "--substrate", "steel", "--pattern", "line",
@@ -193,14 +202,15 @@ def _break_arrays(file: Path, made: Path, draw) -> str:
 
 
 def _break_xml(file: Path, made: Path, draw) -> str:
-    kind, text = broken_xml(file.read_text().replace("</svg>", "</robot>"), draw)
-    made.write_text(text.replace("</robot>", "</svg>") if made.suffix == ".svg" else text,
-                    encoding="utf-8", errors="replace")  # fmt: skip
+    kind, text = broken_xml(file.read_text().replace("svg", "robot"), draw)
+    if made.suffix == ".svg":
+        text = text.replace("robot", "svg")
+    made.write_text(text, encoding="utf-8", errors="replace")
     return kind
 
 
 _BREAK = {
-    ".json": _break_json, ".npz": _break_arrays, ".urdf": _break_xml,
+    ".json": _break_json, ".npz": _break_arrays, ".urdf": _break_xml, ".svg": _break_xml,
 }  # fmt: skip
 
 

@@ -3,6 +3,7 @@ that they read, numbers, words, surroundings and places that nobody means."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
@@ -204,6 +205,7 @@ def material(folder: Path) -> dict[str, str]:
     path = wrod.plan(wrod.pattern("line"), wrod.rod("green-vps"), "intuitive", spacing=0.02)
     files = path.save(folder / "plan")
     made["plan.npz"] = str(next(file for file in map(Path, files) if file.suffix == ".npz"))
+    made["trajectory.csv"] = str(next(file for file in map(Path, files) if file.suffix == ".csv"))
     made["rod.json"] = str(wrod.save_rod(wrod.rod("green-vps"), folder / "rod.json"))
     corners = {str(k): [[x, y], [x + 0.02, y], [x + 0.02, y - 0.02], [x, y - 0.02]]
                for k, (x, y) in enumerate([(0, 0), (0.3, 0), (0.3, 0.2), (0, 0.2)])}  # fmt: skip
@@ -216,6 +218,25 @@ def material(folder: Path) -> dict[str, str]:
     shutil.copy(SCENES / "cable" / "U.json", at("fixtures.json"))
     shutil.copy(SCENES / "robots" / "sawyer.urdf", at("arm.urdf"))
     shutil.copy(SCENES / "controller" / "default.safetensors", at("controller.safetensors"))
+    shutil.copy(SCENES / "controller" / "corrections.safetensors", at("corrections.safetensors"))
+    shutil.copy(SCENES / "knots" / "trefoil.json", at("knot.json"))
+    model = wrod.RodModel.of(wrod.rod("green-vps")).bent(0.5)
+    tapered = wrod.Profile((1e-3, 8e-4), (0.0, model.length))
+    model = dataclasses.replace(model, bending_stiffness=(tapered, tapered))
+    made["model.json"] = str(wrod.save_rod(model, folder / "model.json"))
+    s = np.linspace(0.0, 0.5, 80)
+    laid = arrays_of("Deployment") | {
+        "arc_length": s, "centerline": np.column_stack([s, 0 * s, 0 * s]), "diverged": False,
+        "contact_force": np.zeros((80, 3)), "slip": 0 * s, "frames": np.zeros((2, 80, 3)),
+        "hand": np.zeros((2, 4, 4)),
+    }  # fmt: skip
+    save_arrays(at("deployment.npz"), laid | {"released_centerline": laid["centerline"]})
+    lines = [f"0\nVERTEX\n8\n0\n10\n{1e3 * x:.4f}\n20\n{1e3 * y:.4f}\n30\n0" for x, y in points]
+    at("drawing.dxf").write_text(
+        "0\nSECTION\n2\nHEADER\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n0\n"
+        "POLYLINE\n8\n0\n66\n1\n70\n0\n" + "\n".join(lines)
+        + "\n0\nSEQEND\n0\nENDSEC\n0\nEOF\n"
+    )  # fmt: skip
     from wrod.identification.template import write_template
 
     for kind in ("clamped", "motion"):

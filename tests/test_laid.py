@@ -185,10 +185,14 @@ def test_what_was_fitted_is_said_as_a_quantity():
     assert _said("natural_curvature", Estimate(2.0, 0.1, "1/m"), lgb) == (
         "  natural_curvature: 2 ± 0.1 1/m"
     )
+    assert _said("log_L_gb", Estimate(0.1, 1e5, ""), lgb).endswith("of which the rods tell nothing")
 
 
 def test_friction_of_the_table_is_found(plan):
-    pattern, _ = plan
+    pattern, path = plan
+    laid = load_laid([offset(pattern)], pattern, noise=NOISE)
+    with pytest.raises(DataError, match="friction is 0, and another is found as so many times"):
+        fit_laid(laid, ROD, path, 0.0, fit_friction=True, **QUICK)
     # Straight above the contact, so that the table has something to hold.
     path = wrod.plan(pattern, ROD, "intuitive", remainder=False)
     laid = wrod.simulate_deployment(pattern, ROD, path, 0.3, **QUICK)

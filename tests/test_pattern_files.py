@@ -221,7 +221,9 @@ def test_points_that_no_smooth_curve_follows_are_said_to_be_missed():
         wrod.Pattern.from_points(apart)
 
 
-@pytest.mark.parametrize("names", ["r,theta", "lat lon"])
+@pytest.mark.parametrize(
+    "names", ["r,theta", "lat lon", "arc_length,contact_x,contact_y,contact_z"]
+)
 def test_columns_that_are_no_coordinates_are_refused(tmp_path, names):
     path = write(tmp_path / "p.csv", POINTS, f"{names}\n")
     with pytest.raises(PatternError, match="names other columns than x and y"):
