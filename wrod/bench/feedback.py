@@ -19,6 +19,7 @@ EFFECTS = {
     "none": "as believed",
     "friction": "friction halved",
     "stiffness": "L_gb 15 % larger",
+    "softness": "L_gb 15 % smaller",
     "curvature": "4 /m of natural curvature",
     "offset": "robot 2 mm beside its place",
     "half": "half the table with half the friction",
@@ -32,6 +33,7 @@ WAYS: dict[str, dict[str, Any]] = {
     "known": {"known": True},
 }
 KEYS = ("rod", "pattern", "effect", "way", "seed")
+_LGB = {"stiffness": 1.15, "softness": 0.85}
 _OFFSET = 2e-3 / np.sqrt(2.0)
 _FAR, _GRID = 1.0, 401
 # Seeds of disturbances that no plan was fitted to or judged by.
@@ -197,8 +199,8 @@ def _world(effect: str, led, material, friction: float, seed: int, undisturbed: 
 
     law = Friction(0.5 * friction if effect == "friction" else friction)
     how = Disturbance() if undisturbed else Disturbance.random(_FIRST_SEED + seed)
-    if effect == "stiffness":
-        how = replace(how, lgb_error=1.15 * (1.0 + how.lgb_error) - 1.0)
+    if effect in _LGB:
+        how = replace(how, lgb_error=_LGB[effect] * (1.0 + how.lgb_error) - 1.0)
     if effect == "curvature":
         how = replace(how, natural_curvature=how.natural_curvature + 4.0)
     if effect == "offset":

@@ -227,7 +227,7 @@ def following(
             laid = yield from beliefs.lay(path)
         for one in pictures:
             aside = beside.told(laid, at, one, gone)
-        told = sum(doubted(laid, pattern, at, one) for one in pictures)
+        told = sum(doubted(laid, pattern, at, one, aside) for one in pictures)
         times = sum(look.back is not None for look in looks)
         now = Moment(beliefs, way, gone, aside, horizon)
         way, gone, back, kept = yield from now.replanned(
