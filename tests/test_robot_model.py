@@ -10,7 +10,7 @@ from wrod.scenes import sawyer
 
 from wrod.errors import RobotError
 from wrod.robot.kinematics import grasp_poses, one_torch_thread, pose_error, solve_poses
-from wrod.robot.model import load_robot
+from wrod.robot.model import ROBOTS, load_robot
 from wrod.robot.urdf import read_urdf
 
 # The manufacturer's table, typed again: xyz [m] and roll, pitch, yaw [rad] of j0 ... j6.
@@ -87,13 +87,27 @@ def test_jacobian_is_the_derivative_of_the_pose(robot):
 
     with one_torch_thread():
         q = torch.from_numpy(random_positions(robot, 5, seed=3))
-        jacobian, pose = robot.chain.jacobian_tensor(q, ret_eef_pose=True)
+        jacobian, pose = robot.jacobian(q)
         step = 1e-6
         for joint in range(7):
             ahead = q.clone()
             ahead[:, joint] += step
-            there = robot.chain.jacobian_tensor(ahead, ret_eef_pose=True)[1]
+            there = robot.jacobian(ahead)[1]
             assert (pose_error(pose, there) / step - jacobian[:, :, joint]).abs().max() < 1e-5
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_jacobian_is_that_of_the_whole_chain(name):
+    import torch
+
+    arm = load_robot(name)
+    q = np.random.default_rng(4).uniform(-3.0, 3.0, (5, len(arm.joint_names)))
+    q = torch.from_numpy(q).requires_grad_()
+    own, whole = arm.jacobian(q), arm.chain.jacobian_tensor(q, ret_eef_pose=True)
+    for a, b in zip(own, whole, strict=True):
+        torch.testing.assert_close(a, b, rtol=0.0, atol=1e-13)
+    slopes = [torch.autograd.grad(one[1].square().sum(), q)[0] for one in (own, whole)]
+    torch.testing.assert_close(*slopes, rtol=0.0, atol=1e-12)
 
 
 def test_inverse_kinematics_finds_reachable_poses(robot):

@@ -65,7 +65,7 @@ def newton_step(
     """
     import torch
 
-    jacobian, pose = robot.chain.jacobian_tensor(positions, ret_eef_pose=True)
+    jacobian, pose = robot.jacobian(positions)
     error = pose_error(pose, target)
     eye = torch.eye(6, dtype=positions.dtype)
     # Damping keeps the step finite at a singularity; it grows with the error (Levenberg), so that
@@ -127,7 +127,7 @@ def refine(
                 break
             size = step.abs().amax(-1, keepdim=True)
             q = q + step * (0.3 / size.clamp_min(0.3))
-        pose = robot.chain.jacobian_tensor(q, ret_eef_pose=True)[1]
+        pose = robot.jacobian(q)[1]
         return q.numpy(), pose_error(pose, goal).numpy()
 
 
@@ -137,8 +137,7 @@ def grasp_poses(robot: Robot, positions: np.ndarray) -> np.ndarray:
 
     q = torch.from_numpy(np.array(np.atleast_2d(positions), dtype=np.float64))
     with torch.no_grad():
-        frames = robot.chain.forward_kinematics_tensor(q)
-    return frames[robot.chain._serial_eef_frame_idx].numpy()
+        return robot.jacobian(q)[1].numpy()
 
 
 def solve_poses(

@@ -13,6 +13,7 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import RobotError, WrodWarning, needed_extras
+from wrod.robot.grasp_jacobian import GraspJacobian
 from wrod.robot.urdf import LinkShape, UrdfFile, read_urdf
 from wrod.robot.urdf_checks import chain_limits, check_reach
 from wrod.scenes import gripper as gripper_model
@@ -78,6 +79,11 @@ class Robot:
     def shapes(self, tag: str) -> list[LinkShape]:
         """Shapes of every link; `tag` is "visual" or "collision"."""
         return self.urdf.shapes(tag)
+
+    @cached_property
+    def jacobian(self) -> GraspJacobian:
+        """Jacobian and pose of the grasp by joint positions."""
+        return GraspJacobian(self.chain)
 
     @cached_property
     def mount(self) -> np.ndarray:

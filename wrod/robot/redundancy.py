@@ -136,7 +136,7 @@ class PathCost:
             for gap in distances.values():
                 cost = cost + 2000.0 * (GAP_ROOM - gap).clamp_min(0).square().sum()
                 cost = cost + 4e4 * (_LEAST_GAP - gap).clamp_min(0).square().sum()
-            measure = manipulability(self.robot.chain.jacobian_tensor(variable))
+            measure = manipulability(self.robot.jacobian(variable)[0])
             singular = (MANIPULABILITY_ROOM - measure).clamp_min(0).square().sum()
             cost = cost + self.singular_weight * singular
         if gradient:
@@ -187,7 +187,7 @@ def improve(
     damping, value = 1.0, cost.total(q, around)
     for _ in range(iterations):
         with torch.no_grad():
-            basis = null_basis(robot.chain.jacobian_tensor(torch.from_numpy(q))).numpy()
+            basis = null_basis(robot.jacobian(torch.from_numpy(q))[0]).numpy()
         free = sparse.block_diag(list(basis), format="csc")
         reduced = free.T @ cost.gradient(q, around)
         hessian = (free.T @ cost.smooth @ free).tocsc()

@@ -65,7 +65,7 @@ def inspect(
     room = np.minimum(positions - robot.lower, robot.upper - positions)
     with torch.no_grad():
         distances = {kind: gap.numpy() for kind, gap in gaps(model, q, around).items()}
-        measure = manipulability(robot.chain.jacobian_tensor(q)).numpy()
+        measure = manipulability(robot.jacobian(q)[0]).numpy()
     distances = model.settle(distances, positions, around, clearance)
 
     def where(sample: int) -> str:

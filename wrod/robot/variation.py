@@ -74,7 +74,7 @@ def vary(task: Task, branch: Branch, fixed: bool) -> Branch:
     damping, value = 1.0, cost.total(q, around)
     for _ in range(_ITERATIONS):
         with torch.no_grad():
-            basis = null_basis(robot.chain.jacobian_tensor(torch.from_numpy(q))).numpy()
+            basis = null_basis(robot.jacobian(torch.from_numpy(q))[0]).numpy()
         gradient = cost.gradient(q, around)
         follow, slope = _columns(cost, freedom, q, unknowns, around, gradient)
         elbow = sparse.csc_matrix((q.size, 0))
