@@ -199,9 +199,7 @@ class CollisionModel:
         low = self.low
         axis = end[:, low] - start[:, low]
         offset = contacts[None, None] - start[:, low, None]
-        share = (offset * axis[:, :, None]).sum(-1) / axis.square().sum(-1).clamp_min(1e-12)[
-            ..., None
-        ]
+        share = _dot(offset, axis[:, :, None]) / _dot(axis, axis).clamp_min(1e-12)[..., None]
         near = offset - share.clamp(0, 1)[..., None] * axis[:, :, None]
         gap = near.norm(dim=-1)
         later = torch.arange(len(contacts))[None] >= laid[:, None]
@@ -284,11 +282,17 @@ def segment_distance(p1, q1, p2, q2):
     Ericson, Real-Time Collision Detection, sec. 5.1.9.
     """
     d1, d2, r = q1 - p1, q2 - p2, p1 - p2
-    a = d1.square().sum(-1).clamp_min(1e-12)
-    e = d2.square().sum(-1).clamp_min(1e-12)
-    b, c, f = (d1 * d2).sum(-1), (d1 * r).sum(-1), (d2 * r).sum(-1)
+    a = _dot(d1, d1).clamp_min(1e-12)
+    e = _dot(d2, d2).clamp_min(1e-12)
+    b, c, f = _dot(d1, d2), _dot(d1, r), _dot(d2, r)
     s = ((b * f - c * e) / (a * e - b * b).clamp_min(1e-12)).clamp(0, 1)
     t = ((b * s + f) / e).clamp(0, 1)
     s = ((b * t - c) / a).clamp(0, 1)
     gap = p1 + d1 * s[..., None] - p2 - d2 * t[..., None]
-    return (gap.square().sum(-1) + 1e-18).sqrt()
+    return (_dot(gap, gap) + 1e-18).sqrt()
+
+
+def _dot(a, b):
+    """Of vectors (..., 3); a sum over so short an axis takes torch three times as long."""
+    x, y, z = (a * b).unbind(-1)
+    return x + y + z
