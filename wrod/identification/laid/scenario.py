@@ -131,7 +131,7 @@ def lay(
     end = Tail.none(trajectory)
     trials = [
         Trial(pattern, scenario.damped(believed), trajectory, Friction(scenario.friction), tail=end,
-              another_rod=scenario.excess != 0.0)
+              another_rod=True)
         for scenario in scenarios
     ]  # fmt: skip
     laid = simulate_deployments(
