@@ -139,7 +139,7 @@ def test_a_rod_hung_over_the_pattern_meanders_only_if_there_is_too_much_of_it():
 
 
 def test_a_damped_rod_is_laid_alike_by_shorter_steps():
-    """By second order; undamped it slides 3 mm farther by steps of 12.5 than of 25 ms."""
+    """By second order; undamped it comes to lie 2 mm elsewhere by steps of 12.5 than of 25 ms."""
     pattern, rod = wrod.Pattern.from_expression("0*x", start=0.0, stop=0.45), wrod.rod("green-vps")
     plan = plan_without_lead_in(pattern, rod, "intuitive")
     scenarios = [Scenario(0.3, held=True, damping=damping) for damping in (0.0, DAMPING)]
@@ -150,7 +150,7 @@ def test_a_damped_rod_is_laid_alike_by_shorter_steps():
     undamped, damped = (
         np.linalg.norm(a.nodes - b.nodes, axis=1).mean() for a, b in zip(long, short, strict=True)
     )
-    assert damped < 0.5e-3 < 2.0e-3 < undamped
+    assert damped < 1.0e-3 < 1.5e-3 < undamped
 
 
 @pytest.mark.skipif(not MEASURED.exists(), reason="needs ../shared/measured/laid")
