@@ -280,8 +280,10 @@ def _steps(problem: Problem, states: list[State], ahead: bool) -> Course[list[np
             return [best.values + step]
         tried = yield from problem.at(best.values + step)
         states.append(tried)
-        last |= k >= _STEPS and tried.measure > (1.0 - _SAVED) * best.measure
-        idle = _DONE * best.measure < tried.measure < best.measure
+        # A step that is taken back says nothing of a shorter one.
+        better = tried.measure < best.measure
+        last |= k >= _STEPS and better and tried.measure > (1.0 - _SAVED) * best.measure
+        idle = better and tried.measure > _DONE * best.measure
         best, radius = _better(best, tried, step, radius, damped)
         if idle or (last and not ahead) or not radius > _SHORTEST:
             break
