@@ -82,6 +82,7 @@ class Scene:
         ground=False,
         law=None,
         mass=None,
+        curled=False,
         **options,
     ):
         self.dt, self.states, self.ground = dt, states, ground
@@ -116,7 +117,7 @@ class Scene:
         )  # fmt: skip
         if not together:
             builder.end_world()
-        cfg = newton.ModelBuilder.ShapeConfig(mu=0.25)
+        cfg = newton.ModelBuilder.ShapeConfig(mu=0.02 if curled else 0.25)
         tray = -1
         if ground == "tray" and mass is None:
             tray = builder.add_link(is_kinematic=True)
@@ -131,7 +132,7 @@ class Scene:
         self.capsule = int(model.der.rod_body.numpy()[0]) + 4
         rng = np.random.default_rng(2)
         der = model.der
-        if not ground:  # what is bent at rest keeps its roll on the ground
+        if not ground or curled:  # what is bent at rest keeps its roll on the ground
             curvature = rng.normal(size=der.node_natural_curvature.numpy().shape)
             der.node_natural_curvature.assign(curvature)
         if law is not None:  # stiffer about one axis than about the other
@@ -423,6 +424,8 @@ SOLIDS = [1, 1, 1, 0, 1, 1]
     [
         (True, [1], {}),
         ("solids", SOLIDS, {}),
+        (True, [1], {"curled": True}),
+        ("solids", [1] * 6, {"curled": True}),
         ("tray", SOLIDS, {}),
         ("tray", SOLIDS, {"max_step": 0.003}),
         ("tray", SOLIDS, {"mass": 0.01}),
@@ -432,10 +435,12 @@ SOLIDS = [1, 1, 1, 0, 1, 1]
 def test_gradients_over_the_ground(ground, rubs, options):
     """Of cables that a hand drags over the ground, or over a box, a ball, a capsule, a cylinder, an
     ellipsoid and a mesh, where they slide and stick, by friction as well; and by the poses of a
-    tray that carries these along and turns them, also of one that rods must not press firmly."""
-    names = [name for name in EVERY if name != "node_natural_curvature"]
+    tray that carries these along and turns them, also of one that rods must not press firmly. Those
+    that are bent at rest keep their roll."""
+    names = [n for n in EVERY if n != "node_natural_curvature" or "curled" in options]
     scene = Scene(ground=ground, dt=0.005, **options)
-    compare(scene, names, size=4e-6)
+    # Where edges roll an iteration more or less is seen, where heights matter the skin.
+    compare(scene, names, size=4e-5 if ground == "solids" and "curled" in options else 4e-6)
     by_friction = scene.model.shape_material_mu.grad.numpy()[-len(rubs) :]
     assert ((by_friction != 0.0) == np.array(rubs)).all()
 

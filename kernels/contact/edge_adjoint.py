@@ -17,6 +17,7 @@ from wrod.kernels.contact.edges import (
     is_late,
 )
 from wrod.kernels.contact.planes import Touchable, coefficient, damped_force, return_mapping
+from wrod.kernels.contact.rolling import Rolled, by_logarithms, rolled
 from wrod.kernels.contact.shapes import WITH_RODS, shape_displacement
 from wrod.kernels.elastic.assembly import add_vector
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node
@@ -88,11 +89,13 @@ class Held:
 
 @wp.struct
 class Change:
-    """How residuals at head and tail, and the bristle after the step, follow a number."""
+    """How residuals at head and tail, the bristle after the step, and the normal force follow a
+    number."""
 
     at_head: wp.vec3d
     at_tail: wp.vec3d
     bristle: wp.vec3d
+    force: wp.float64
 
 
 @wp.func
@@ -197,6 +200,7 @@ def follow(h: Held, number: int) -> Change:
     out.at_head = (ONE - s) * change - shift * total
     out.at_tail = s * change + shift * total
     out.bristle = (pull - by_stiffness / h.stiffness * h.pull) / h.stiffness
+    out.force = force
     return out
 
 
@@ -213,14 +217,15 @@ def find_unknown(
     touching_out: wp.array(dtype=wp.int32),
 ):
     """Say of the chosen rods whether they touch a solid in a way that has no adjoint: one that
-    moves with rods, that turns them or keeps their roll, or that they come out of. Launched over
-    (rod, edge)."""
+    moves with rods, that moves and keeps their roll, that turns them, or that they come out of.
+    Launched over (rod, edge)."""
     r, i = wp.tid()
     if chosen[r] == 0 or model.radius[r, i] == ZERO:
         return
     for k in range(model.shapes.shape[1]):
         known = model.shapes[r, k].moves != WITH_RODS and hidden[r, i] == ZERO
-        known = known and model.rolling[r] == ZERO and model.roll_friction[r, k] < ZERO
+        known = known and model.rolling[r] == ZERO
+        known = known and (model.shapes[r, k].moves == 0 or model.roll_friction[r, k] < ZERO)
         if is_fixture(model.shapes[r, k]):
             c = edge_touch(model, dof, dof_before, wp.vec3d(), r, k, i)
             if c.force > ZERO and not known:
@@ -263,29 +268,45 @@ def want_bristles(
     block_out[r, i] = block
 
 
-@wp.func
-def wanted_of(c: Change, head: wp.vec3d, tail: wp.vec3d, after: wp.vec3d) -> wp.float64:
-    return wp.dot(after, c.bristle) - wp.dot(head, c.at_head) - wp.dot(tail, c.at_tail)
+@wp.struct
+class Ends:
+    """What a step wants of a touch: of the residuals at head and tail (the solution), of the
+    bristle after it, and of the normal force by what keeps the roll."""
+
+    head: wp.vec3d
+    tail: wp.vec3d
+    after: wp.vec3d
+    force: wp.float64
 
 
 @wp.func
-def wanted_of_three(
-    h: Held, first: int, head: wp.vec3d, tail: wp.vec3d, after: wp.vec3d
-) -> wp.vec3d:
+def wanted_of(c: Change, w: Ends) -> wp.float64:
+    value = wp.dot(w.after, c.bristle) + w.force * c.force
+    return value - wp.dot(w.head, c.at_head) - wp.dot(w.tail, c.at_tail)
+
+
+@wp.func
+def edge_rolled(model: Touchable, step: OneStep, h: Held, r: int, k: int, i: int) -> Rolled:
+    """What keeps the roll of an edge on a solid that stands still."""
+    turn = step.edge_turned[r, k, i] + step.dof[r, 4 * i + 3] - step.dof_before[r, 4 * i + 3]
+    arm = wp.abs(model.radius[r, i])
+    return rolled(turn, h.stiffness, arm, model.roll_friction[r, k], h.force)
+
+
+@wp.func
+def wanted_of_three(h: Held, first: int, w: Ends) -> wp.vec3d:
     out = wp.vec3d(ZERO, ZERO, ZERO)
     for b in range(3):
-        out[b] = wanted_of(follow(h, first + b), head, tail, after)
+        out[b] = wanted_of(follow(h, first + b), w)
     return out
 
 
 @wp.func
-def want_shape(
-    h: Held, head: wp.vec3d, tail: wp.vec3d, after: wp.vec3d, r: int, k: int, by: WantedShapes
-):
-    wp.atomic_add(by.place, r, k, wanted_of_three(h, PLACE, head, tail, after))
-    wp.atomic_add(by.turn, r, k, wanted_of_three(h, TURN, head, tail, after))
-    wp.atomic_add(by.place_at_start, r, k, wanted_of_three(h, PLACE_AT_START, head, tail, after))
-    wp.atomic_add(by.turn_at_start, r, k, wanted_of_three(h, TURN_AT_START, head, tail, after))
+def want_shape(h: Held, w: Ends, r: int, k: int, by: WantedShapes):
+    wp.atomic_add(by.place, r, k, wanted_of_three(h, PLACE, w))
+    wp.atomic_add(by.turn, r, k, wanted_of_three(h, TURN, w))
+    wp.atomic_add(by.place_at_start, r, k, wanted_of_three(h, PLACE_AT_START, w))
+    wp.atomic_add(by.turn_at_start, r, k, wanted_of_three(h, TURN_AT_START, w))
 
 
 @wp.kernel
@@ -313,32 +334,48 @@ def want_friction(
     r, i = wp.tid()
     if step.active[r] == 0 or model.radius[r, i] == ZERO:
         return
-    head = solved(x, r, i)
-    tail = solved(x, r, i + 1)
+    w = Ends()
+    w.head = solved(x, r, i)
+    w.tail = solved(x, r, i + 1)
     mean_mass = HALF * (node_mass[r, i] + node_mass[r, i + 1])
     for k in range(model.shapes.shape[1]):
         bristle = wp.vec3d(ZERO, ZERO, ZERO)
+        turned = wp.float64(0.0)
         c = edge_touch(model, step.dof, step.dof_before, step.edge_bristle[r, k, i], r, k, i)
         if c.force > ZERO:
             h = hold(model, step, c, r, k, i)
-            after = now.edge_bristle[r, k, i]
+            w.after = now.edge_bristle[r, k, i]
+            w.force = wp.float64(0.0)
+            parts = wp.vec2d(ZERO, ZERO)
+            friction = wp.float64(0.0)
+            if model.roll_friction[r, k] >= ZERO:
+                kept = edge_rolled(model, step, h, r, k, i)
+                by_step = -x[r, 0, 4 * i + 3][0]
+                by_end = now.edge_turned[r, k, i] / kept.whole
+                w.force = kept.per_force * (by_step + by_end)
+                friction = kept.per_coefficient * (by_step + by_end)
+                parts = by_logarithms(kept, by_step, by_end)
+                turned = kept.stiffness * (by_step + by_end)
+                wp.atomic_add(now.turn, r, i, -kept.stiffness * by_step)
+                wp.atomic_add(before.dof, r, 4 * i + 3, -turned)
+                wp.atomic_add(before.turn, r, i, turned)
             for b in range(6):
-                wanted = wanted_of(follow(h, AT_START + b), head, tail, after)
+                wanted = wanted_of(follow(h, AT_START + b), w)
                 wp.atomic_add(before.dof, r, 4 * (i + b / 3) + b % 3, wanted)
-            bristle = wanted_of_three(h, BRISTLE, head, tail, after)
+            bristle = wanted_of_three(h, BRISTLE, w)
             if model.shapes[r, k].moves != 0:
-                want_shape(h, head, tail, after, r, k, by_shape)
-            friction = wanted_of(follow(h, COEFFICIENT), head, tail, after)
+                want_shape(h, w, r, k, by_shape)
+            friction += wanted_of(follow(h, COEFFICIENT), w)
             wp.atomic_add(by_coefficient, r, k, friction)
-            by_stiffness = wanted_of(follow(h, STIFFNESS), head, tail, after)
-            damped = wanted_of(follow(h, RELAXATION), head, tail, after)
+            by_stiffness = wanted_of(follow(h, STIFFNESS), w)
+            damped = wanted_of(follow(h, RELAXATION), w)
             damped = HALF * h.relaxation * damped
             if is_late(model, h.relaxation, h.time, r, k):
                 damped = wp.float64(0.0)
-            by_stiffness -= damped / h.stiffness
+            by_stiffness += (parts[0] - damped) / h.stiffness
             stiffened = h.stiffness * by_stiffness
-            radius = model.radius[r, i] * wanted_of(follow(h, RADIUS), head, tail, after)
-            length = SMOOTHING * wanted_of(follow(h, ROUNDING), head, tail, after)
+            radius = parts[1] + model.radius[r, i] * wanted_of(follow(h, RADIUS), w)
+            length = SMOOTHING * wanted_of(follow(h, ROUNDING), w)
             share = stiffness_per_mass[r, i]
             if h.stiffness == model.stiffness[r, i]:
                 wp.atomic_add(by_piece, r, piece[i], share * stiffened)
@@ -352,3 +389,5 @@ def want_friction(
                 wp.atomic_add(by.node_mass, r, i + n, damped / (TWO * mean_mass))
                 wp.atomic_add(by.radius, r, i + n, HALF * radius)
         before.edge_bristle[r, k, i] = bristle
+        if model.roll_friction[r, k] >= ZERO:
+            before.edge_turned[r, k, i] = turned

@@ -16,6 +16,8 @@ from wrod.kernels.contact.planes import (
     return_mapping,
     touch,
 )
+from wrod.kernels.contact.rolling import by_logarithms
+from wrod.kernels.contact.rolling_adjoint import node_angle, node_rolled
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import solved
@@ -83,13 +85,12 @@ def find_unknown(
     touching_out: wp.array(dtype=wp.int32),
 ):
     """Say of the chosen rods whether they touch a plane in a way that has no adjoint: one that
-    moves, or that turns them or keeps their roll. Launched over (rod, node)."""
+    moves, or that turns them. Launched over (rod, node)."""
     r, i = wp.tid()
     if chosen[r] == 0:
         return
     for k in range(model.shapes.shape[1]):
-        known = model.shapes[r, k].moves == 0
-        known = known and model.rolling[r] == ZERO and model.roll_friction[r, k] < ZERO
+        known = model.shapes[r, k].moves == 0 and model.rolling[r] == ZERO
         if model.shapes[r, k].kind == PLANE and not known:
             c = touch(model, dof, dof_before, wp.vec3d(), r, k, i)
             if c.force > ZERO:
@@ -165,6 +166,15 @@ def want_friction(
             pull = after - w
             bristle = p.tangential * pull
             force = wp.dot(w, c.normal) + wp.dot(p.by_force, pull)
+            if model.roll_friction[r, k] >= ZERO:
+                h = node_rolled(model, step, p.force, r, k, i)
+                by_step = -node_angle(x, r, i)
+                by_end = now.turned[r, k, i] / h.whole
+                force += h.per_force * (by_step + by_end)
+                wp.atomic_add(by_coefficient, r, k, h.per_coefficient * (by_step + by_end))
+                parts = by_logarithms(h, by_step, by_end)
+                by_stiffness += parts[0] / stiffness
+                by_radius += parts[1]
             wanted += (p.remembered * force) * c.normal - bristle
             wp.atomic_add(by_coefficient, r, k, wp.dot(p.by_coefficient, pull))
             by_stiffness += p.force * force / stiffness

@@ -25,6 +25,42 @@ def held_turn(turn: wp.float64, stiffness: wp.float64, limit: wp.float64) -> wp.
     return wp.vec2d(torque, stiffness)
 
 
+@wp.struct
+class Rolled:
+    """Torque of such a bristle and its stiffness, that which it would have if it held; and where it
+    slides, by how much its torque follows the normal force and the coefficient."""
+
+    torque: wp.float64
+    stiffness: wp.float64
+    whole: wp.float64
+    per_force: wp.float64
+    per_coefficient: wp.float64
+
+
+@wp.func
+def rolled(
+    turn: wp.float64, stiffness: wp.float64, arm: wp.float64, mu: wp.float64, force: wp.float64
+) -> Rolled:
+    out = Rolled()
+    out.whole = stiffness * arm * arm
+    held = held_turn(turn, out.whole, mu * force * arm)
+    out.torque = held[0]
+    out.stiffness = held[1]
+    if held[1] == ZERO:
+        out.per_coefficient = wp.sign(turn) * force * arm
+        out.per_force = wp.sign(turn) * mu * arm
+    return out
+
+
+@wp.func
+def by_logarithms(h: Rolled, by_step: wp.float64, by_end: wp.float64) -> wp.vec2d:
+    """What is wanted of the logarithms of the stiffness and of the radius at a given normal force,
+    if so much is wanted of the torque, by the step and by what the bristle remembers."""
+    if h.per_coefficient == ZERO:
+        return wp.vec2d(h.torque * by_step, wp.float64(2.0) * h.torque * by_step)
+    return wp.vec2d(-h.torque * by_end, h.torque * (by_step - by_end))
+
+
 @wp.func
 def node_turn(
     dof: wp.array2d(dtype=wp.float64),

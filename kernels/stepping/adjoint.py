@@ -29,6 +29,8 @@ wp.set_module_options({"enable_backward": False})
 SIX = wp.constant(wp.float64(6.0))
 # Residuals of the nodes at an edge's head and tail by where they are.
 EdgeBlock = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
+# Residual of an edge's angle by where its nodes are.
+RollBlock = wp.types.vector(length=6, dtype=wp.float64)
 
 
 @wp.func
@@ -113,8 +115,8 @@ def load_wanted(
 class StepMatrix:
     """A_n^T: the Hessian, and what makes it unsymmetric; see `weigh_spins`, and
     `wrod.kernels.contact.plane_adjoint` for `coupling`, `wrod.kernels.contact.edge_adjoint` for
-    `block` and `wrod.kernels.stepping.inelastic_adjoint` for `skew` and `rate`, which may have no
-    columns."""
+    `block`, `wrod.kernels.contact.rolling_adjoint` for those of rolling, and
+    `wrod.kernels.stepping.inelastic_adjoint` for `skew` and `rate`, which may have no columns."""
 
     hessian: wp.array3d(dtype=wp.float64)
     spin_inertia: wp.array2d(dtype=wp.float64)
@@ -122,8 +124,33 @@ class StepMatrix:
     by_end: wp.array2d(dtype=wp.vec3d)
     coupling: wp.array2d(dtype=wp.mat33d)
     block: wp.array2d(dtype=EdgeBlock)
+    roll: wp.array2d(dtype=wp.float64)
+    roll_with_next: wp.array2d(dtype=wp.float64)
+    roll_of_node: wp.array2d(dtype=wp.vec3d)
+    roll_of_edge: wp.array2d(dtype=RollBlock)
     skew: wp.array2d(dtype=wp.float64)
     rate: wp.array3d(dtype=wp.vec2d)
+
+
+@wp.func
+def roll_entry(m: StepMatrix, r: int, i: int, e: int, c: int) -> wp.float64:
+    """Residual of the angle of edge e by node i, where bristles keep the roll: by the turn of
+    reference frames, and by the normal force."""
+    value = wp.float64(0.0)
+    for n in range(3):
+        other = e - 1 + n
+        if other >= 0 and other < m.by_end.shape[1] and (i == other or i == other + 1):
+            stiffness = m.roll[r, e]
+            if n == 0:
+                stiffness = m.roll_with_next[r, other]
+            elif n == 2:
+                stiffness = m.roll_with_next[r, e]
+            value += wp.where(i == other, stiffness, -stiffness) * m.by_end[r, other][c]
+    if i == e or i == e + 1:
+        value += m.roll_of_node[r, i][c]
+        if m.roll_of_edge.shape[1] > 0:
+            value += m.roll_of_edge[r, e][3 * (i - e) + c]
+    return value
 
 
 @wp.func
@@ -151,6 +178,8 @@ def entry(m: StepMatrix, r: int, a: int, b: int) -> wp.float64:
             value += m.spin_inertia[r, e] * m.by_end[r, e][a % 4]
         elif a / 4 == e + 1:
             value -= m.spin_inertia[r, e] * m.by_end[r, e][a % 4]
+        if m.roll.shape[1] > 0:
+            value += roll_entry(m, r, a / 4, e, a % 4)
     if m.skew.shape[1] > 0:
         last = wp.min(wp.min(a, b) / 4 + 1, m.skew.shape[1] - 2)
         for i in range(wp.max((wp.max(a, b) - 3) / 4, 1), last + 1):

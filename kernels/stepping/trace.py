@@ -24,7 +24,7 @@ class OneStep:
     `until`; configurations are those where forces are taken, at the start (`before`) and a step
     earlier (`older`), velocities and strains of the last two; strains are there if the material is
     viscous, what friction remembers at the start (shape, node or edge) if something can be
-    touched."""
+    touched, and if it keeps the roll how far bristles are turned."""
 
     active: wp.array(dtype=wp.int32)
     coefficient: wp.array(dtype=wp.vec3d)
@@ -48,6 +48,8 @@ class OneStep:
     sliding: wp.array3d(dtype=wp.int32)
     edge_bristle: wp.array3d(dtype=wp.vec3d)
     edge_sliding: wp.array3d(dtype=wp.int32)
+    turned: wp.array3d(dtype=wp.float64)
+    edge_turned: wp.array3d(dtype=wp.float64)
 
 
 @wp.func
@@ -108,8 +110,8 @@ class Wanted:
     """What a loss wants of rods at one time, its derivatives (rod, ...): by nodes and by the turn
     of each edge's frame about it (`dof`), by velocities, by how far the reference frame has turned
     while the edge's has not (`turn`, of each edge), by the strains that a viscous material
-    remembers, by the bristles (shape, node or edge) of friction, and by the curvatures that nodes
-    have of their own whose bending remembers."""
+    remembers, by the bristles (shape, node or edge) of friction and of what keeps the roll, and by
+    the curvatures that nodes have of their own whose bending remembers."""
 
     dof: wp.array2d(dtype=wp.float64)
     velocity: wp.array2d(dtype=wp.float64)
@@ -117,6 +119,8 @@ class Wanted:
     strain: wp.array2d(dtype=wp.vec4d)
     bristle: wp.array3d(dtype=wp.vec3d)
     edge_bristle: wp.array3d(dtype=wp.vec3d)
+    turned: wp.array3d(dtype=wp.float64)
+    edge_turned: wp.array3d(dtype=wp.float64)
     lagging: wp.array2d(dtype=wp.vec2d)
 
 

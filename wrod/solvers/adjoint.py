@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrod.kernels.contact import edge_adjoint, plane_adjoint, planes
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import adjoint as kernels
 from wrod.kernels.stepping import midpoint_adjoint, model_adjoint
@@ -16,6 +15,7 @@ from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.trace import OneStep, Wanted, go_back, recall_step
 from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.body_adjoint import BodyAdjoint
+from wrod.solvers.contact_adjoint import ContactAdjoint
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.flow_adjoint import FlowAdjoint
 from wrod.solvers.inertia import add_inertia
@@ -26,9 +26,7 @@ from wrod.solvers.trace import (
     Record,
     filled,
     make_wanted,
-    planes_of,
     require_differentiable,
-    solids_of,
     step_arrays,
 )
 from wrod.solvers.viscosity import Viscosity
@@ -106,7 +104,8 @@ class StepAdjoint:
             floats(nodes - 1, dtype=wp.vec3d) for _ in range(3)
         )
         self._spin_inertia, self._wanted = floats(nodes - 1), floats(dofs)
-        self._know_contact(stiffness_of_mass)
+        self._contact = ContactAdjoint(dynamics, stiffness_of_mass)
+        self.by_friction, self.by_shape = self._contact.by_friction, self._contact.by_shape
         self._past = None if batch.inelastic is None else FlowAdjoint(batch)
         skew, rate = floats(0), floats(0, 0, dtype=wp.vec2d)
         if self._past is not None:
@@ -115,8 +114,7 @@ class StepAdjoint:
             kernels.StepMatrix(),
             dict(
                 hessian=self._at.hessian, spin_inertia=self._spin_inertia, moment=self._moment,
-                by_end=self._by_end, coupling=self._coupling, block=self._block, skew=skew,
-                rate=rate,
+                by_end=self._by_end, skew=skew, rate=rate, **self._contact.matrix,
             ),
         )  # fmt: skip
         self._factor = floats(dofs, banded_lu.BAND)
@@ -139,29 +137,6 @@ class StepAdjoint:
         self._drag = floats(0, dtype=wp.vec2d) if dynamics.drag is None else dynamics.drag
         self._properties = PropertyAdjoint(dynamics, self._viscous_time, air_of_mass)
         self.model, self.by_spins = self._properties.model, self._properties.spins
-
-    def _know_contact(self, stiffness_of_mass: np.ndarray | None) -> None:
-        batch = self.batch
-        rods, nodes = batch.rod_count, batch.node_count
-        self._planes, self._solids = planes_of(self.dynamics), solids_of(self.dynamics)
-
-        def floats(*shape, dtype: type = wp.float64):
-            return wp.zeros((rods, *shape), dtype=dtype, device=batch.device)
-
-        def numbers(values):
-            return wp.array(values, dtype=wp.float64, device=batch.device)
-
-        self._coupling = floats(0 if self._planes is None else nodes, dtype=wp.mat33d)
-        self._block = floats(0 if self._solids is None else nodes - 1, dtype=kernels.EdgeBlock)
-        self.by_friction = floats(shapes := self.now.bristle.shape[1])
-        self.by_shape = edge_adjoint.WantedShapes()
-        for name in edge_adjoint.WantedShapes.vars:
-            setattr(self.by_shape, name, floats(shapes, dtype=wp.vec3d))
-        if stiffness_of_mass is None:
-            stiffness_of_mass = np.zeros((rods, nodes))
-        self._stiffness_share = numbers(stiffness_of_mass)
-        if self._solids is not None:
-            self._per_mass = numbers(stiffness_of_mass / self._planes.memory[0].stiffness.numpy())
 
     def _all_wanted(self) -> list[StepParts]:
         """Of rods and bodies, as in `now`, `before` and `older`."""
@@ -218,7 +193,8 @@ class StepAdjoint:
             self._factorise()
             self._solve()
             self.by_spins.zero_()
-            self._want_friction()
+            friction = (self.now, self.before), self._x, self._properties
+            self._contact.want_friction(self.step, *friction)
             levels = self.before, self.older
             self._properties.want(record.gravity, self.step, self._x, levels)
             self._want_before()
@@ -287,13 +263,13 @@ class StepAdjoint:
         )  # fmt: skip
         places = [step.dof, step.dof_before, step.dof_older]
         add_inertia(dynamics, self._pace, places, [step.velocity, step.velocity_older], at)
-        self._add_contact()
         edges = (rods, nodes - 1)
         batch.launch(kernels.measure_turns, edges, [step], [self._by_end, self._by_start])
         batch.launch(
             kernels.weigh_spins, edges, [dynamics.mass, dynamics.air_damping, step],
             [self._spin_inertia, self._moment],
         )  # fmt: skip
+        self._contact.add(step, self.now, at, self._matrix)
         batch.launch(
             kernels.assemble,
             (rods, dofs),
@@ -301,48 +277,6 @@ class StepAdjoint:
             [self._factor],
         )
         batch.launch_lanes(banded_lu.factorise, [step.active], [self._factor])
-
-    def _add_contact(self) -> None:
-        if self._planes is None:
-            return
-        batch, step = self.batch, self.step
-        shape = (batch.rod_count, batch.node_count)
-        model = self._planes.memory[0]
-        batch.launch(
-            planes.contact,
-            shape,
-            [model, step.span, step.active, step.dof, step.dof_before, step.bristle, step.sliding]
-            + [self._planes.ended],
-            [*self._planes.duals, self._at.gradient, self._at.hessian],
-        )
-        batch.launch(plane_adjoint.want_bristles, shape, [model, step], [self.now, self._coupling])
-        if self._solids is not None:
-            batch.launch(
-                edge_adjoint.want_bristles,
-                self._block.shape,
-                [self._solids.memory[0], step],
-                [self.now, self._at.gradient, self._block],
-            )
-
-    def _want_friction(self) -> None:
-        if self._planes is None:
-            return
-        batch = self.batch
-        rods = [batch.node_mass, self._properties.piece, self.step, self.now, self._x]
-        outputs = [self.before, self.by_friction, self.model, self.by_spins]
-        batch.launch(
-            plane_adjoint.want_friction,
-            (batch.rod_count, batch.node_count),
-            [self._planes.memory[0], self._stiffness_share, *rods],
-            outputs,
-        )
-        if self._solids is not None:
-            batch.launch(
-                edge_adjoint.want_friction,
-                self._block.shape,
-                [self._solids.memory[0], self._per_mass, *rods],
-                [*outputs, self.by_shape],
-            )
 
     def _solve(self) -> None:
         batch, step, now = self.batch, self.step, self.now

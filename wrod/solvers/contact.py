@@ -81,7 +81,7 @@ class Contact(OnDevice):
             (`wrod.kernels.contact.duals`).
         force: (rod, node) force on each node at the end of the last step.
         slip: (rod, node) distance that each node has slid in all [length].
-        holds_roll: whether the roll of any rod is kept.
+        holds_roll: whether the roll of any rod is kept; (rod, shape, node) `turned` how far.
 
     Raises:
         RodError: radius or stiffness is not positive and finite, a shape has no size, or friction
@@ -142,7 +142,7 @@ class Contact(OnDevice):
         self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
         self.duals = tuple(wp.zeros(per_shape, dtype=wp.vec3d, device=device) for _ in range(2))
         self.ended = self.iteration = wp.full(rods, -1, dtype=wp.int32, device=device)
-        self._turned = wp.zeros(per_shape, dtype=wp.float64, device=device)
+        self.turned = wp.zeros(per_shape, dtype=wp.float64, device=device)
         self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
         self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
         if self._has_fixtures:
@@ -298,7 +298,7 @@ class Contact(OnDevice):
             self.batch.launch(
                 rolls.hold_roll,
                 (self.batch.rod_count, self.batch.node_count),
-                [self._model, self.time_step, active, dof, dof_before, self._turned],
+                [self._model, self.time_step, active, dof, dof_before, self.turned],
                 [out.gradient, out.hessian],
             )
 
@@ -316,7 +316,7 @@ class Contact(OnDevice):
             linearised.linearise_contact,
             (self.batch.rod_count, self.batch.node_count),
             [self._model, self.time_step, accepted, dof, dof_before]
-            + [self._bristle, self._sliding, self._turned],
+            + [self._bristle, self._sliding, self.turned],
             outputs,
         )
 
@@ -336,7 +336,7 @@ class Contact(OnDevice):
             (self._edges.bristle, self._edges.sliding),
         ):
             self.batch.launch(kernels.forget_friction, bristle.shape, [chosen], [bristle, sliding])
-        for turned in (self._turned, self._edges.turned):
+        for turned in (self.turned, self._edges.turned):
             self.batch.launch(rolls.forget_roll, turned.shape, [chosen], [turned])
         if self._has_fixtures:
             self._edges.restart(chosen, self.batch.state.dof)
@@ -367,7 +367,7 @@ class Contact(OnDevice):
         carried = [self._bristle, self._sliding, self.slip, self.force]
         self.batch.launch(kernels.settle_friction, nodes, inputs, carried)
         if self.holds_roll:
-            self.batch.launch(rolls.settle_roll, nodes, inputs, [self._turned])
+            self.batch.launch(rolls.settle_roll, nodes, inputs, [self.turned])
         if self._has_fixtures:
             self._edges.settle(self.time_step, accepted, dof, dof_before, self.slip, self.force)
 
@@ -375,7 +375,7 @@ class Contact(OnDevice):
         """(rod,) elastic energy of what touches now, with that of its friction."""
         batch = self.batch
         energy = wp.zeros(batch.rod_count, dtype=wp.float64, device=batch.device)
-        inputs = [self._model, batch.state.dof, self._bristle, self._turned]
+        inputs = [self._model, batch.state.dof, self._bristle, self.turned]
         batch.launch(energies.add_node_energy, self.slip.shape, inputs, [energy])
         if self._has_fixtures:
             self._edges.add_energy(batch.state.dof, energy)

@@ -38,6 +38,17 @@ def _memory(touched: Contact | EdgeContact | None) -> tuple[int, ...]:
     return (0, 0) if touched is None else touched.memory[1].shape[1:]
 
 
+def _turned(dynamics: Dynamics) -> dict[str, wp.array]:
+    """How far bristles are turned that keep the roll, if any does."""
+    touched, solids = planes_of(dynamics), solids_of(dynamics)
+    out = {}
+    if touched is not None and touched.holds_roll:
+        out["turned"] = touched.turned
+        if solids is not None:
+            out["edge_turned"] = solids.turned
+    return out
+
+
 def step_arrays(dynamics: Dynamics) -> dict[str, wp.array]:
     """What the step is made of that `dynamics` takes now, by the names of `kernels.OneStep`."""
     state, start, viscosity = dynamics.batch.state, dynamics.start, dynamics.viscosity
@@ -58,7 +69,7 @@ def step_arrays(dynamics: Dynamics) -> dict[str, wp.array]:
     solids = solids_of(dynamics)
     if solids is not None:
         _, out["edge_bristle"], out["edge_sliding"] = solids.memory
-    return out
+    return out | _turned(dynamics)
 
 
 def beside_rods(dynamics: Dynamics) -> list[wp.array]:
@@ -108,6 +119,9 @@ def make_wanted(dynamics: Dynamics) -> Any:
     out.strain = zeros(nodes if dynamics.viscosity.exists else 0, dtype=wp.vec4d)
     out.bristle = zeros(*_memory(planes_of(dynamics)), dtype=wp.vec3d)
     out.edge_bristle = zeros(*_memory(solids_of(dynamics)), dtype=wp.vec3d)
+    for name in ("turned", "edge_turned"):
+        array = _turned(dynamics).get(name)
+        setattr(out, name, zeros(0, 0) if array is None else zeros(*array.shape[1:]))
     out.lagging = zeros(0 if batch.inelastic is None else nodes, dtype=wp.vec2d)
     return out
 
@@ -199,9 +213,9 @@ class Trace:
         if touched.any():
             raise RodError(
                 f"row {int(np.flatnonzero(touched)[0])} of rods touches something in this step "
-                "through which gradients are not there; they are through planes that stand still, "
-                "and through solids that stand still or that others move, of rods without natural "
-                "curvature that begin outside them"
+                "through which gradients are not there; they are through what stands still and, of "
+                "rods without natural curvature, through solids that others move, where rods begin "
+                "outside them"
             )
         state = self.batch.state
         return Record(

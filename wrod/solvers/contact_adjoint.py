@@ -1,0 +1,139 @@
+"""The adjoint of what a batch's rods touch, in the steps of `wrod.solvers.adjoint.StepAdjoint`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrod.kernels.contact import edge_adjoint, plane_adjoint, planes, rolling, rolling_adjoint
+from wrod.kernels.stepping.adjoint import EdgeBlock, RollBlock
+from wrod.rods.state import Derivatives
+from wrod.solvers.trace import planes_of, solids_of
+
+if TYPE_CHECKING:
+    from wrod.solvers.dynamics import Dynamics
+    from wrod.solvers.property_adjoint import PropertyAdjoint
+
+
+class ContactAdjoint:
+    """What contact has in the matrix of steps, and what is wanted of what it remembers.
+
+    Args:
+        dynamics: that has taken the steps.
+        stiffness_of_mass: as of `wrod.solvers.adjoint.StepAdjoint`.
+
+    Attributes:
+        matrix: arrays of `wrod.kernels.stepping.adjoint.StepMatrix`, by name; without columns where
+            nothing is touched like that.
+        by_friction, by_shape: as of `StepAdjoint`.
+    """
+
+    def __init__(self, dynamics: Dynamics, stiffness_of_mass: np.ndarray | None):
+        batch = self._batch = dynamics.batch
+        rods, nodes = batch.rod_count, batch.node_count
+        self._planes, self._solids = planes_of(dynamics), solids_of(dynamics)
+        self._rolls = self._planes is not None and self._planes.holds_roll
+
+        def floats(*shape, dtype: Any = wp.float64):
+            return wp.zeros((rods, *shape), dtype=dtype, device=batch.device)
+
+        def numbers(values):
+            return wp.array(values, dtype=wp.float64, device=batch.device)
+
+        of_nodes, of_edges = nodes * (self._planes is not None), nodes - 1
+        of_solids = of_edges * (self._solids is not None)
+        self.matrix = {
+            "coupling": floats(of_nodes, dtype=wp.mat33d),
+            "block": floats(of_solids, dtype=EdgeBlock),
+            "roll": floats(of_edges * self._rolls),
+            "roll_with_next": floats(of_edges * self._rolls),
+            "roll_of_node": floats(of_nodes * self._rolls, dtype=wp.vec3d),
+            "roll_of_edge": floats(of_solids * self._rolls, dtype=RollBlock),
+        }
+        shapes = 0 if self._planes is None else self._planes.table.shape[1]
+        self.by_friction = floats(shapes)
+        self.by_shape = edge_adjoint.WantedShapes()
+        for name in edge_adjoint.WantedShapes.vars:
+            setattr(self.by_shape, name, floats(shapes, dtype=wp.vec3d))
+        if stiffness_of_mass is None:
+            stiffness_of_mass = np.zeros((rods, nodes))
+        self._stiffness_share = numbers(stiffness_of_mass)
+        if self._solids is not None:
+            self._per_mass = numbers(stiffness_of_mass / self._planes.memory[0].stiffness.numpy())
+
+    def add(self, step: Any, now: Any, at: Derivatives, matrix: Any) -> None:
+        """Add to residual and matrix of a step, and let what is wanted of bristles at its end be
+        wanted of the rods there; after `wrod.kernels.stepping.adjoint.weigh_spins`."""
+        if self._planes is None:
+            return
+        batch = self._batch
+        shape = (batch.rod_count, batch.node_count)
+        edges = (batch.rod_count, batch.node_count - 1)
+        model = self._planes.memory[0]
+        batch.launch(
+            planes.contact,
+            shape,
+            [model, step.span, step.active, step.dof, step.dof_before, step.bristle, step.sliding]
+            + [self._planes.ended],
+            [*self._planes.duals, at.gradient, at.hessian],
+        )
+        coupling = self.matrix["coupling"]
+        batch.launch(plane_adjoint.want_bristles, shape, [model, step], [now, coupling])
+        if self._solids is not None:
+            batch.launch(
+                edge_adjoint.want_bristles,
+                edges,
+                [self._solids.memory[0], step],
+                [now, at.gradient, self.matrix["block"]],
+            )
+        if not self._rolls:
+            return
+        batch.launch(
+            rolling.hold_roll,
+            shape,
+            [model, step.span, step.active, step.dof, step.dof_before, step.turned],
+            [at.gradient, at.hessian],
+        )
+        for name in ("roll", "roll_with_next"):
+            self.matrix[name].zero_()
+        batch.launch(rolling_adjoint.want_node_rolls, shape, [model, step], [now, matrix])
+        if self._solids is not None:
+            batch.launch(
+                rolling_adjoint.want_edge_rolls,
+                edges,
+                [self._solids.memory[0], step],
+                [at.gradient, now, matrix],
+            )
+
+    def want_friction(
+        self, step: Any, levels: tuple, x: wp.array, properties: PropertyAdjoint
+    ) -> None:
+        """From the solution x of a step to what it began from.
+
+        Args:
+            step: that was gone through.
+            levels: `Wanted` at its end and at its start.
+            x: (rod, 1, dof) the solution.
+            properties: of the rods.
+        """
+        if self._planes is None:
+            return
+        batch, (now, before) = self._batch, levels
+        shape = (batch.rod_count, batch.node_count)
+        rods = [batch.node_mass, properties.piece, step, now, x]
+        outputs = [before, self.by_friction, properties.model, properties.spins]
+        model = self._planes.memory[0]
+        batch.launch(
+            plane_adjoint.want_friction, shape, [model, self._stiffness_share, *rods], outputs
+        )
+        if self._rolls:
+            batch.launch(rolling_adjoint.want_turned_nodes, shape, [model, step, x], [now, before])
+        if self._solids is not None:
+            batch.launch(
+                edge_adjoint.want_friction,
+                (batch.rod_count, batch.node_count - 1),
+                [self._solids.memory[0], self._per_mass, *rods],
+                [*outputs, self.by_shape],
+            )
