@@ -3,7 +3,7 @@
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from threading import Event
+from threading import Event, get_ident
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ import wrod
 from wrod.deployment import sharing_out, simulate
 from wrod.deployment.simulate import simulate_deployments
 from wrod.deployment.tangents import Directions, lay
-from wrod.solvers import dynamics
+from wrod.solvers import dynamics, recording
 
 needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
 DEVICES = ["cpu", pytest.param("cuda:0", marks=needs_gpu)]
@@ -35,14 +35,33 @@ def test_deployments_shared_out_are_those_of_one_batch(device, letter, monkeypat
         np.testing.assert_allclose(one.centerline, other.centerline, rtol=0, atol=1e-12)
 
 
-def test_threads_of_the_caller_get_what_one_gets_alone():
+@pytest.fixture
+def short():
     pattern = wrod.Pattern.from_points(np.linspace([0, 0, 0], [0.15, 0, 0], 20))
     rod = replace(wrod.rod("green-vps"), length=0.4)
-    path = wrod.plan(pattern, rod, "intuitive", spacing=0.05)
+    return pattern, rod, wrod.plan(pattern, rod, "intuitive", spacing=0.05)
 
+
+COARSE = dict(discretisation=wrod.Discretisation(0.05, 0.05), speed=0.2)
+
+
+def test_what_a_thread_prepares_is_recorded_by_no_other(short, monkeypatch):
+    launching, assemble = [], simulate.assemble
+
+    def noted(*arguments, **options):
+        launching.append(get_ident() in recording._launch)
+        return assemble(*arguments, **options)
+
+    monkeypatch.setattr(simulate, "assemble", noted)
+    simulate_deployments(
+        [wrod.Trial(*short, wrod.Friction(0.6))] * 2, threads=2, device="cpu", **COARSE
+    )
+    assert launching == [True, True]
+
+
+def test_threads_of_the_caller_get_what_one_gets_alone(short):
     def lay(_) -> float:
-        coarse = dict(discretisation=wrod.Discretisation(0.05, 0.05), speed=0.2)
-        return wrod.simulate_deployment(pattern, rod, path, 0.6, **coarse).error_mean
+        return wrod.simulate_deployment(*short, 0.6, **COARSE).error_mean
 
     def grasp(_) -> list:
         return wrod.solve_grasps([2.0, 9.0], 0.1, 2e3, device="cpu").position.tolist()

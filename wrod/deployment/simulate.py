@@ -152,14 +152,9 @@ def simulate_deployments(
             if progress is not None:
                 progress(fraction * len(chunk) / len(trials))
 
-        return _simulate(
-            [trials[i] for i in chunk],
-            [setups[i] for i in chunk],
-            discretisation,
-            frame_interval,
-            report,
-            **options,
-        )
+        given, prepared = [trials[i] for i in chunk], [setups[i] for i in chunk]
+        with launching():  # of this thread
+            return _simulate(given, prepared, discretisation, frame_interval, report, **options)
 
     return shared_out(run, *chunks(len(trials), device, threads))
 
