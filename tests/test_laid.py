@@ -156,6 +156,25 @@ def test_a_rod_as_believed_is_adequate(plan):
         fit_laid(load_laid(rods, pattern), ROD, path, iterations=0)
 
 
+def test_a_step_that_goes_too_far_is_taken_back(plan, monkeypatch):
+    """What lies answers to little more than the cube of the curvature."""
+    pattern, path = plan
+    measured = load_laid([noisy(offset(pattern), seed) for seed in range(3)], pattern)
+    middle = measured.positions.mean(axis=0)
+
+    def predict(_, many):
+        beside = [(0.1 * v[0]) ** 3 + 0.005 * v[0] - 1.05 + v[1] for v in many]
+        return np.stack([middle + [0.0, 5e-3 * off] for off in beside])
+
+    monkeypatch.setattr("wrod.identification.laid.fit._Laying.predict", predict)
+    monkeypatch.setattr("wrod.identification.laid.fit._chosen", lambda *_: [0])
+    few = fit_laid(measured, ROD, path, 0.8, iterations=2)
+    assert few.after <= few.before and "give more iterations" in few.reason
+    many = fit_laid(measured, ROD, path, 0.8, iterations=14)
+    assert many.estimates["natural_curvature"].value == pytest.approx(10.0, abs=0.2)
+    assert many.reason.endswith(")")
+
+
 def test_curvature_is_added_where_the_rod_is_held():
     rod = with_parameters(ROD, np.array([2.0, 0.0]), roll=0.7)
     assert rod.curvature_held(0.7) == pytest.approx((2.0, 0.0))
@@ -183,7 +202,7 @@ def test_what_was_fitted_is_said_as_a_quantity():
         "  L_gb: 3.676 cm, +14.73 ± 0.073 % beside the given one"
     )
     assert _said("natural_curvature", Estimate(2.0, 0.1, "1/m"), lgb) == (
-        "  natural_curvature: 2 ± 0.1 1/m"
+        "  natural_curvature: 2 ± 0.1 1/m more than the given rod's to the left"
     )
     assert _said("log_L_gb", Estimate(0.1, 1e5, ""), lgb).endswith("of which the rods tell nothing")
 

@@ -147,7 +147,7 @@ def command(
 def _said(name: str, estimate, found) -> str:
     """A parameter in words; of a logarithm the quantity, and how far it is from the given one."""
     if not name.startswith("log_"):
-        return f"  {name}: {estimate}"
+        return f"  {name}: {estimate} more than the given rod's to the left"
     size = f"{found.friction:.3f}"
     if name == "log_L_gb":
         size = f"{100 * found.rod.gravito_bending_length:.3f} cm"

@@ -33,6 +33,9 @@ _UNITS = {"natural_curvature": "1/m", "log_L_gb": "", "log_friction": ""}
 _STEPS = {"natural_curvature": 1.0, "log_L_gb": 0.03, "log_friction": 0.15}
 # Standard deviations of Gaussian priors around the believed rod.
 _PRIORS = {"natural_curvature": 20.0, "log_L_gb": 0.5, "log_friction": 0.7}
+# Of a step that leaves more than there was this share is tried; one that is over so many of the
+# noise's standard errors has not settled.
+_LESS, _SETTLED = 0.3, 3.0
 # One parameter is enough where it leaves no more than this, over what both leave.
 _ENOUGH = 1.3
 
@@ -42,10 +45,10 @@ class LaidFit(Finding):
     """What a set of laid rods says; errors are RMS distances of the rods from the simulation.
 
     Attributes:
-        estimates: by parameter that is needed: curvature of the rod at rest to the left of the
-            pattern [1/m], the logarithm of the true over the believed L_gb and, if asked for, that
-            of the true over the believed friction. Their standard errors are those of the noise;
-            what the simulation itself misses is not in them.
+        estimates: by parameter that is needed: how much more than believed the rod is curved at
+            rest to the left of the pattern [1/m], the logarithm of the true over the believed L_gb
+            and, if asked for, that of the true over the believed friction. Their standard errors
+            are those of the noise; what the simulation itself misses is not in them.
         rod: the believed rod with them.
         alone: RMS distance [m] that each parameter alone would leave, to first order.
         correlation: of the two estimates that are told apart worst, 0 for one.
@@ -109,14 +112,16 @@ class _Laying:
         return here, np.stack(rates)
 
 
-def _step(measurements: LaidMeasurements, values, active, rates, off) -> np.ndarray:
-    """Take a Gauss-Newton step in `values`; its matrix."""
-    priors = np.array([_PRIORS[name] for name in PARAMETERS])
+def _step(measurements: LaidMeasurements, values, active, rates, off):
+    """The values after a Gauss-Newton step, which is at most as long as what is believed before;
+    and its matrix."""
+    priors = np.array([_PRIORS[name] for name in PARAMETERS])[active]
     weight = len(measurements.curves) / measurements.noise**2
-    matrix = weight * rates @ rates.T + np.diag(priors[active] ** -2)
-    pull = weight * rates @ off - values[active] / priors[active] ** 2
-    values[active] += np.linalg.solve(matrix, pull)
-    return matrix
+    matrix = weight * rates @ rates.T + np.diag(priors**-2)
+    step = np.linalg.solve(matrix, weight * rates @ off - values[active] / priors**2)
+    there = values.copy()
+    there[active] += step / max(1.0, np.abs(step / priors).max())
+    return there, matrix
 
 
 def _estimates(values, active, covariance) -> tuple[dict[str, Estimate], float]:
@@ -160,7 +165,8 @@ def fit_laid(
         fit_friction: find it as well, together with natural curvature and L_gb. Its derivative is
             that of rods that slide: where none does, the error stays that of the prior, 0.7.
         released: whether they were measured after the grip let go, or with it still holding.
-        iterations: Gauss-Newton steps, each a batch of three or four simulated deployments.
+        iterations: Gauss-Newton steps, each a batch of three or four simulated deployments; one
+            that leaves more than there was is taken back, and a shorter one tried.
         progress: called with the share of all simulations done since the last call.
         options: those of `wrod.simulate_deployments`.
 
@@ -178,28 +184,39 @@ def fit_laid(
     active = list(range(len(PARAMETERS) if fit_friction else len(_OF_ROD)))
     runs = (1 + len(active)) * iterations + 1
     laying = _Laying(measurements, rod, trajectory, law, released, runs, progress, options)
-    values = np.zeros(len(PARAMETERS))
-    before, alone = np.inf, {}
+    values = kept = np.zeros(len(PARAMETERS))
+    before = after = np.inf
     for iteration in range(iterations):
         here, rates = laying.linearised(values, active)
+        left = measurements.rms(here)
+        if left > after:  # the step went too far for its derivatives
+            values = kept + _LESS * (values - kept)
+            continue
+        kept, after = values, left
         off = (measurements.positions.mean(axis=0) - here).ravel()
         if iteration == 0:
-            before, alone = measurements.rms(here), _alone(measurements, here, rates, off)
+            before, alone = left, _alone(measurements, here, rates, off)
             if not fit_friction:
                 active = _chosen(measurements, here, rates, off, alone)
                 rates = rates[active]
                 laying.runs = (1 + len(active)) * iterations + 1
-        matrix = _step(measurements, values, active, rates, off)
-    after = measurements.rms(laying.predict([values])[0])
+        values, matrix = _step(measurements, kept, active, rates, off)
+    left = measurements.rms(laying.predict([values])[0])
+    step = np.abs(values - kept)[active]
+    if left < after:
+        kept, after = values, left
+    values = kept.copy()
     count, floor = len(measurements.curves), measurements.noise_floor
     # Of what the model leaves wrong the parameters bear their part (Birge's ratio).
     covariance = np.linalg.inv(matrix) * max(1.0, after / floor) ** 2
     estimates, correlation = _estimates(values, active, covariance)
     verdict, reason = _verdict(before, after, floor, count, estimates, correlation)
+    if verdict != "adequate" and (step > _SETTLED * np.sqrt(np.diag(np.linalg.inv(matrix)))).any():
+        reason += "; the last step was larger than the noise's error: give more iterations"
     if verdict == "adequate":
         # The friction is asked for, whether or not the believed one would do.
-        kept = estimates.get("log_friction")
-        estimates, after = {} if kept is None else {"log_friction": kept}, before
+        table = estimates.get("log_friction")
+        estimates, after = {} if table is None else {"log_friction": table}, before
         values[: len(_OF_ROD)] = 0.0
     return LaidFit(
         verdict=verdict, reason=reason, before=before, after=after, noise_floor=floor,
