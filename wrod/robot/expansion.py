@@ -15,7 +15,7 @@ from wrod.files import checked_path
 from wrod.files.reading import MIB, shown
 from wrod.robot.packages import folders_of
 
-_SECONDS, _WALL, _MEMORY, _LONGEST = 10, 30.0, 1024 * MIB, 16 * MIB
+_SECONDS, _WALL, _MEMORY, _LONGEST = 6, 30.0, 1024 * MIB, 16 * MIB
 # What an expression needs no part of, and from which every builtin can be reached.
 _FORBIDDEN = (ast.Lambda, ast.GeneratorExp, ast.NamedExpr, ast.Await, ast.Yield, ast.YieldFrom)
 _INNER = ("gi_", "cr_", "ag_", "tb_", "co_", "f_back", "f_globals", "f_locals", "f_builtins")
@@ -26,7 +26,7 @@ def expanded(path: Path) -> bytes:
     """Text of the URDF that a xacro file makes.
 
     Raises:
-        RobotError: xacro is missing, or cannot expand the file within 10 s and 1 GiB.
+        RobotError: xacro is missing, or cannot expand the file within 6 s and 1 GiB.
     """
     checked_path(path, "a xacro file", error=RobotError, limit=16 * MIB)
     if find_spec("xacro") is None:
