@@ -53,7 +53,7 @@ def check_tangents(pattern, rod, trajectory, friction, scheme):
     directions = columns(trajectory)
     # Beside the plan, so that rotation vectors are not at their origin.
     offset = 0.002 * np.sin(20.0 * trajectory.arc_length)[:, None] * [1, 1, 1, 20, 20, 20]
-    options = OPTIONS | {"discretisation": replace(MESH, tolerance=1e-9, scheme=scheme)}
+    options = OPTIONS | {"discretisation": replace(MESH, tolerance=1e-11, scheme=scheme)}
     laid = lay([trial], [directions], [offset], **options)[0]
     assert not laid.diverged
     assert (laid.slip.max() > 2e-3) == (friction.static < 0.2)

@@ -145,7 +145,9 @@ def test_every_disturbance_reaches_a_cable_trial():
         Trial(pattern, CABLE, trajectory, Friction(CABLE_FRICTION), d, fixtures=scene)
         for d in (Disturbance(), drawn)
     ]
-    batch, rods = _batch(jobs, [still, disturb(still, drawn)], "cpu")
+    batch, rods = _batch(
+        jobs, {id(CABLE): wrod.RodModel.of(CABLE)}, [still, disturb(still, drawn)], "cpu"
+    )
     ratio = rods[1].gravito_bending_length / rods[0].gravito_bending_length
     assert ratio == pytest.approx(1.0 + drawn.lgb_error)
     stiffness = batch.bending_stiffness.numpy()[:, 2, 0]

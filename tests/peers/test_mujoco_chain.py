@@ -1,7 +1,5 @@
 """The second engine is right where closed forms are known, and agrees where another has played."""
 
-from dataclasses import replace
-
 import pytest
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install wrod[peers])")
@@ -88,18 +86,16 @@ def test_the_hanging_part_has_the_shape_of_the_grasp():
 
 @pytest.mark.parametrize("mu", [0.02, 0.3, 1.0])
 def test_a_bent_rod_straightens_as_in_our_own_engine(mu):
-    """As much as it is damped inside there, by springs of 10 ms."""
     arc = wrod.Pattern.from_points(
         [(0.05 * np.sin(a), 0.05 * (1.0 - np.cos(a))) for a in np.linspace(0.0, np.pi, 60)]
     )
-    s, place = put_down_in_mujoco(arc, ROD, mu)
-    rod = replace(wrod.RodModel.of(ROD), internal_damping=0.01)
+    s, place = put_down_in_mujoco(arc, ROD, mu, step=0.001)
     ((own_s, own, _, _),) = put_down(
-        [(arc, rod, Friction(mu))], node_count=33, step=0.002, device="cpu"
+        [(arc, ROD, Friction(mu))], node_count=33, step=0.005, device="cpu"
     )
     left, own_left = (
         np.linalg.norm((x - arc.sample(at)[0])[:, :2], axis=1)
         for at, x in ((s, place), (own_s, own))
     )
-    assert left.mean() == pytest.approx(own_left.mean(), rel=0.04)
+    assert left.mean() == pytest.approx(own_left.mean(), rel=0.06)
     assert np.abs(left - np.interp(s, own_s, own_left)).max() < 0.003

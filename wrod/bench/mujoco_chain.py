@@ -14,6 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from wrod.deployment.assembly import INTERNAL_DAMPING
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.setup import Setup, blend
@@ -23,8 +24,8 @@ from wrod.patterns.pattern import Pattern
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
-# Kelvin-Voigt time of the springs [s]; time constant of the contacts, in time steps.
-_SPRING_DAMPING, _CONTACT_TIME = 0.01, 2.0
+# Time constant of the contacts, in time steps.
+_CONTACT_TIME = 2.0
 # That of the welds; a critically damped one follows a moving body twice as late.
 _WELD_TIME = 2.0
 # Drag per mass and velocity [1/s], as wrod assumes for a rod that says nothing.
@@ -216,9 +217,9 @@ def lay_in_mujoco(
 
 
 def put_down_in_mujoco(
-    pattern: Pattern, rod: RodMaterial, friction: float
+    pattern: Pattern, rod: RodMaterial, friction: float, step: float = 0.004
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A rod that is put down exactly and left to itself (`wrod.bench.put_down`).
+    """A rod that is put down exactly and left to itself (`wrod.bench.put_down`); `step` in [s].
 
     Returns:
         Arc length of the ends of the segments (n + 1,) and their positions (n + 1, 3) [m].
@@ -235,6 +236,7 @@ def put_down_in_mujoco(
         radius=rod.radius,
         friction=friction,
         hand=False,
+        step=step,
         gravity=(0.0, 0.0, -rod.gravity),
         lengths=np.diff(s),
     )
@@ -304,7 +306,7 @@ def _model(length, mass, stiffness, radius, friction, held, hand, step, gravity)
         spring = stiffness / (0.5 * (length[k - 1] + length[k]))
         # A linearly implicit step: MuJoCo's constraints know of inertia alone, so that what the
         # end of the step asks of the springs is added to it.
-        damping = spring * (_SPRING_DAMPING + step)
+        damping = spring * (INTERNAL_DAMPING + step)
         return (
             f'<joint type="ball" stiffness="{spring:.12g}" damping="{damping:.12g}" '
             f'armature="{step * damping:.12g}"/>'

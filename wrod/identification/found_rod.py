@@ -107,7 +107,8 @@ def rod_of(
         natural_twist=along(setup.natural_twist),
         point_masses=_lumps(s, line_mass * np.real(setup.node_mass), like.length),
         law=law,
-        internal_damping=mean(getattr(setup, "viscous_time", 0.0)),
+        # What only rests says nothing of it.
+        internal_damping=mean(setup.viscous_time) if hasattr(setup, "viscous_time") else None,
         air_damping=mean(getattr(setup, "linear_drag", 0.0)),
         quadratic_drag=mean(getattr(setup, "quadratic_drag", 0.0)),
     )

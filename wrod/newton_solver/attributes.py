@@ -141,7 +141,7 @@ def add_rod(
                 f"{builder.body_count}), or -1 for the world"
             )
     model, (visible, color, label) = rod.model, look
-    own = (model.air_damping, model.internal_damping)
+    own = (model.air_damping, model.internal_damping or 0.0)
     air, internal = (o if given is None else given for o, given in zip(own, damping, strict=True))
     counts = builder._custom_frequency_counts
     first_node, first_edge = counts.get(NODE, 0), counts.get(EDGE, 0)

@@ -52,7 +52,8 @@ class RodModel(RodTransformations):
         natural_twist: twist at rest, profile [rad/m].
         point_masses: ((arc length [m], mass [kg]), ...).
         law: of bending; `wrod.rods.law`.
-        internal_damping: Kelvin-Voigt time of the material [s].
+        internal_damping: Kelvin-Voigt time of the material [s]; None: nobody has measured it, and
+            deployments take that of recorded cables (`wrod.deployment.assembly.INTERNAL_DAMPING`).
         air_damping: drag per mass and velocity [1/s].
         quadratic_drag: drag per length of rod, mean line mass and velocity squared [1/m].
         gravity: gravitational acceleration [m/s^2].
@@ -72,7 +73,7 @@ class RodModel(RodTransformations):
     natural_twist: Profile = _NONE
     point_masses: tuple[tuple[float, float], ...] = ()
     law: BendingLaw = _LINEAR
-    internal_damping: float = 0.0
+    internal_damping: float | None = None
     air_damping: float = 0.0
     quadratic_drag: float = 0.0
     gravity: float = 9.81
@@ -92,7 +93,7 @@ class RodModel(RodTransformations):
             natural_twist: AnyProfile = _NONE,
             point_masses: Sequence[tuple[float, float]] = (),
             law: BendingLaw = _LINEAR,
-            internal_damping: float = 0.0,
+            internal_damping: float | None = None,
             air_damping: float = 0.0,
             quadratic_drag: float = 0.0,
             gravity: float = 9.81,
@@ -107,7 +108,8 @@ class RodModel(RodTransformations):
             put(name, as_number(name, getattr(self, name), positive=True))
         put("principal_angle", as_number("principal_angle", self.principal_angle))
         for name in ("internal_damping", "air_damping", "quadratic_drag"):
-            put(name, as_number(name, getattr(self, name), least=0.0))
+            if name != "internal_damping" or self.internal_damping is not None:
+                put(name, as_number(name, getattr(self, name), least=0.0))
         put("bending_stiffness", as_pair("bending_stiffness", self.bending_stiffness, same=True))
         put("natural_curvature", as_pair("natural_curvature", self.natural_curvature))
         for name in ("twisting_stiffness", "stretching_stiffness", "line_mass", "natural_twist"):
@@ -197,7 +199,7 @@ class RodModel(RodTransformations):
             "natural_twist": self.natural_twist != _NONE,
             "point_masses": bool(self.point_masses),
             "law": not isinstance(self.law, Linear),
-            "internal_damping": self.internal_damping > 0.0,
+            "internal_damping": bool(self.internal_damping),
             "air_damping": self.air_damping > 0.0,
             "quadratic_drag": self.quadratic_drag > 0.0,
             "bending_stiffness": not (first.is_constant and first == second),

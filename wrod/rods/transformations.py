@@ -129,6 +129,7 @@ class RodTransformations:
             return lambda profile: profile.scaled(1.0 / unit, 1.0 / length)
 
         stiffness, curvature = by(force * length**2), by(1.0 / length)
+        own = self.internal_damping
         return replace(
             self,
             length=self.length / length,
@@ -142,7 +143,7 @@ class RodTransformations:
             natural_twist=curvature(self.natural_twist),
             point_masses=tuple((s / length, m / mass) for s, m in self.point_masses),
             law=self.law.scaled(length, time),
-            internal_damping=self.internal_damping / time,
+            internal_damping=None if own is None else own / time,
             air_damping=self.air_damping * time,
             quadratic_drag=self.quadratic_drag * length,
             gravity=1.0,

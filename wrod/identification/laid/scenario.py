@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from wrod.deployment.assembly import INTERNAL_DAMPING
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.plan import plan
 from wrod.deployment.simulate import Trial, simulate_deployments
@@ -26,10 +27,7 @@ from wrod.solvers.contact import Friction
 HELD = 0.05
 # Of the contact [m/s].
 SPEED = 0.02
-_MESH = Discretisation(spacing=0.01, step=0.025, scheme="bdf2")
-# Kelvin-Voigt time of a rod that nobody has shaken: three recorded cables have 53 to 78 ms
-# (docs/identification-motion.md) [s].
-DAMPING = 0.065
+_MESH = Discretisation(spacing=0.01, step=0.025)
 # The grip rests for so long before it would let go, in the deployment's schedule [s].
 _RESTING = 0.45
 
@@ -58,7 +56,7 @@ class Scenario:
     excess: float = 0.0
     radius_ratio: float = 1.0
     held: bool = False
-    damping: float = DAMPING
+    damping: float = INTERNAL_DAMPING
 
     def rod(self, believed: RodMaterial) -> RodMaterial:
         """The rod as it is in this scenario."""
