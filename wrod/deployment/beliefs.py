@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from wrod.deployment.expectation import FINE, PACE
 from wrod.deployment.places import Places
@@ -82,7 +83,7 @@ class Account:
 
 class Beliefs:
     """Friction, stiffness, natural curvature and place of the robot, with their covariance; and how
-    friction varies over the table, where that is likelier than that it does not.
+    friction varies over the table, as far as it is likely to.
 
     Args:
         pattern: that is laid.
@@ -106,8 +107,14 @@ class Beliefs:
 
     @property
     def account(self) -> Account:
-        """That which is likeliest."""
-        return max(self.accounts, key=lambda one: one.evidence)
+        """The mean of all, as likely as they are, and the covariance about it: what has slid
+        nowhere yet may be another than it is where it slid."""
+        evidence = logsumexp([one.evidence for one in self.accounts])
+        chance = np.exp([one.evidence - evidence for one in self.accounts])
+        means = np.array([one.mean for one in self.accounts])
+        apart = means - chance @ means
+        covariance = np.tensordot(chance, [one.covariance for one in self.accounts], 1)
+        return Account(chance @ means, covariance + (apart.T * chance) @ apart, float(evidence))
 
     @property
     def mean(self) -> np.ndarray:
