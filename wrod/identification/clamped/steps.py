@@ -19,8 +19,8 @@ _FOLDS = 4
 _PAIRS, FLUCTUATION = 12, 5.0
 # Leaner pairs to fit in the place of a chosen one, out of so many by superposition.
 _LEANER, _LEANER_FROM = 6, 40
-# Of how many fits, the best, it is seen whether trials hold them back: no more than the rest of so
-# large a share, each with so many times the squares that they have in the median.
+# How many fits are made without trials that hold them back, the best by the squares of so large a
+# share of the trials; no more are left out, each with so many times the squares of the median.
 _AGAIN, _MOST, _OUTWEIGHS = 8, 0.75, 5.0
 
 
@@ -244,20 +244,24 @@ def _past_folds(laboratory, fits: list[Fit]) -> list[Fit]:
     """The fits, and the best of them once more without trials that outweigh the rest, then whole.
 
     A trial whose rod turns over between the base model and the true one may hold its parameters
-    back, where the others' squares would fall all the way.
+    back, where the others' squares would fall all the way. Most of all squares are that trial's, so
+    fits are ranked by the others' (least trimmed squares, Rousseeuw 1984).
     """
-    trials, found = laboratory.measurements.train, list(fits)
-    for fit in best_of_each([f for f in fits if not has_profile(f.model)])[:_AGAIN]:
+    trials, found, held = laboratory.measurements.train, list(fits), []
+    for fit in best_of_each([f for f in fits if not has_profile(f.model)]):
         noise = fit.residual_count + FLUCTUATION * np.sqrt(2.0 * fit.residual_count)
         if fit.chi_squared < noise:
             return fits
         with suppress(DataError):
             misfit = laboratory.misfit(fit.model, fit.values, trials)
             stays = misfit < _OUTWEIGHS * np.median(misfit)
-            if stays.all() or stays.mean() < _MOST:
-                continue
-            own, weights = fit, stays[None].astype(float)
-            for weighed in (weights, None):
+            if not stays.all() and stays.mean() >= _MOST:
+                trimmed = np.sort(misfit)[: int(np.ceil(_MOST * len(misfit)))].sum()
+                held.append((float(trimmed), noise, fit, stays))
+    for _, noise, fit, stays in sorted(held, key=lambda h: h[0])[:_AGAIN]:
+        with suppress(DataError):
+            own = fit
+            for weighed in (stays[None].astype(float), None):
                 own = fit_models(
                     laboratory, [fit.model], [own.values], weights=weighed, origin=own, race=False
                 )[0]
