@@ -1,6 +1,7 @@
 """Silicone rods (VPS) and ropes as batches, for the tests of contact and motion."""
 
 import numpy as np
+import warp as wp
 
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import cells
@@ -80,14 +81,25 @@ def tensions(batch):
     return 100.0 * (length / batch.rest_length.numpy()[0] - 1)
 
 
+@wp.kernel
+def pull_on(
+    start: wp.vec3d,
+    velocity: wp.vec3d,
+    time: wp.array(dtype=wp.float64),
+    step: wp.array(dtype=wp.float64),
+    dof: wp.array2d(dtype=wp.float64),
+):
+    r, k = wp.tid()
+    dof[r, dof.shape[1] - 3 + k] = start[k] + (time[r] + step[r]) * velocity[k]
+
+
 class Pull:
     """Moves the last node along a direction at 1 cm/s."""
 
     def __init__(self, batch, direction):
-        self.batch, self.direction = batch, np.asarray(direction)
-        self.start = batch.positions()[0, -1].copy()
+        self.batch, self.velocity = batch, wp.vec3d(*(0.01 * np.asarray(direction)))
+        self.start = wp.vec3d(*batch.positions()[0, -1])
 
     def prescribe(self, running, time, step, start):
-        dof = self.batch.state.dof.numpy().copy()
-        dof[:, -3:] = self.start + 0.01 * (time.numpy() + step.numpy()) * self.direction
-        self.batch.state.dof.assign(dof)
+        inputs = [self.start, self.velocity, time, step]
+        self.batch.launch(pull_on, (self.batch.rod_count, 3), inputs, [self.batch.state.dof])

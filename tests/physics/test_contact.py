@@ -29,7 +29,13 @@ def on_slope(angles, friction, axis=0, **options):
     batch = rods(straight(len(angles), axis=axis))
     contact = Contact(batch, RADIUS, CONTACT, friction)
     dynamics = Dynamics(
-        batch, scheme="euler", radius=RADIUS, contact=contact, tolerance=1e-9, **options
+        batch,
+        scheme="euler",
+        radius=RADIUS,
+        contact=contact,
+        tolerance=1e-9,
+        **options,
+        keeps_recording=True,
     )
     dynamics.advance(0.02, 2e-3)
     gravity = np.zeros((len(angles), 3))
@@ -51,7 +57,9 @@ def test_rest_on_the_table():
     """Its own weight sinks a rod by less than 5 % of its radius, and the table carries it all."""
     batch = rods(straight(height=1.5 * RADIUS))
     contact = Contact(batch, RADIUS, CONTACT, Friction(0.5))
-    Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact).advance(0.3, 2e-3)
+    Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, keeps_recording=True).advance(
+        0.3, 2e-3
+    )
     z = batch.positions()[0, :, 2]
     assert 0.95 * RADIUS < z.min() <= z.max() < RADIUS
     assert contact.force.numpy()[0].sum(axis=0)[2] == pytest.approx(WEIGHT * 0.07, rel=1e-4)
@@ -133,7 +141,7 @@ def test_friction_varies_over_the_table():
     field = FrictionField.of(lambda x, y: np.where(y < 0.05, 0.2, 1.0), *ice)
     batch = rods(straight())
     contact = Contact(batch, RADIUS, CONTACT, Friction(0.5), friction_field=field)
-    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact)
+    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, keeps_recording=True)
     dynamics.advance(0.1, 2e-3)
     velocity = np.zeros((1, 15, 3))
     velocity[:, :, 1] = 0.6
@@ -164,7 +172,7 @@ def test_sliding_rod_stops_and_stays():
     """From speed v it slides v^2 / (2 mu g), then sticks."""
     batch = rods(straight())
     contact = Contact(batch, RADIUS, CONTACT, Friction(0.4))
-    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact)
+    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, keeps_recording=True)
     dynamics.advance(0.1, 2e-3)
     before = batch.positions()[0, :, 0].mean()
     velocity = np.zeros((1, 15, 3))
@@ -188,7 +196,7 @@ def test_tilted_plane_is_a_slope():
     s = np.linspace(0.0, 0.07, 15)
     batch = rods((s[:, None] * down + RADIUS * normal)[None])
     contact = Contact(batch, RADIUS, CONTACT, Friction(0.5), shapes=(Plane(normal=tuple(normal)),))
-    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact)
+    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, keeps_recording=True)
     dynamics.advance(0.2, 2e-3)
     before = dynamics.velocities()[0].mean(axis=0) @ down
     dynamics.advance(0.4, 2e-3)
@@ -218,7 +226,14 @@ def test_rod_hangs_over_a_fixture(shape, distance):
     batch = rods(position)
     # A point that carries the whole rod needs a stiffer contact than a table does.
     contact = Contact(batch, RADIUS, 8 * CONTACT, Friction(0.6), shapes=(shape,))
-    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=10.0)
+    dynamics = Dynamics(
+        batch,
+        scheme="euler",
+        radius=RADIUS,
+        contact=contact,
+        air_damping=10.0,
+        keeps_recording=True,
+    )
     assert not dynamics.advance(1.5, 4e-3).diverged.any()
     q = batch.positions()[0]
     at = np.arange(20 * 80 + 1) / 20  # on edges too, not at nodes alone
@@ -353,6 +368,7 @@ def test_capstan(friction, post, edge, stiffness):
         contact=contact,
         air_damping=20.0,
         motion=Pull(batch, [0.0, 0.0, -1.0]),
+        keeps_recording=True,
     )
     dynamics.advance(0.2, 2e-3)
     tension = tensions(batch)

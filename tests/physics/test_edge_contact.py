@@ -112,7 +112,14 @@ def test_rod_leans_on_a_pin_between_two_nodes():
     batch = rods(position)
     prescribe(batch, clamped_nodes=[0, nodes - 1], clamped_angles=[0])
     contact = Contact(batch, RADIUS, 8 * CONTACT, Friction(0.3), shapes=(pin,))
-    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=20.0)
+    dynamics = Dynamics(
+        batch,
+        scheme="euler",
+        radius=RADIUS,
+        contact=contact,
+        air_damping=20.0,
+        keeps_recording=True,
+    )
     assert not dynamics.advance(1.0, 5e-3).diverged.any()
     assert 0.0 < contact.penetration()[0] < 0.05 * RADIUS
     force = contact.force.numpy()[0]
@@ -150,6 +157,7 @@ def test_capstan_over_what_is_thinner_than_an_edge(shape, friction):
         contact=contact,
         air_damping=20.0,
         motion=Pull(batch, out),
+        keeps_recording=True,
     )
     ratios, until = [], 0.3
     for _ in range(8):
@@ -174,7 +182,7 @@ def test_block_on_a_tilted_box(axis):
     wall = Box(tuple(-0.01 * up), (0.3, 0.3, 0.01), (0.0, np.sin(half), 0.0, np.cos(half)))
     batch = rods(nodes[None])
     contact = Contact(batch, RADIUS, CONTACT, Friction(0.5), shapes=(wall,))
-    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact)
+    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, keeps_recording=True)
     dynamics.advance(0.2, 4e-3)
     before = dynamics.velocities()[0].mean(axis=0) @ down
     dynamics.advance(0.3, 4e-3)
@@ -190,7 +198,9 @@ def test_nothing_tunnels_through_a_pin(speed):
     pin = Cylinder((0.0375, 0.0, 0.0), 0.0003, 0.05)
     batch = rods(position, gravity=(0.0, 0.0, 0.0))
     contact = Contact(batch, RADIUS, 100 * CONTACT, Friction(0.3), shapes=(pin,))
-    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=5.0)
+    dynamics = Dynamics(
+        batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=5.0, keeps_recording=True
+    )
     velocity = np.zeros((1, 16, 3))
     velocity[:, :, 1] = speed
     dynamics.set_velocity(velocity)
@@ -220,7 +230,9 @@ def test_rods_of_a_batch_touch_their_own_fixtures():
         contact = Contact(
             batch, RADIUS, 8 * CONTACT, Friction(0.4), shapes=[scenes[r] for r in rows]
         )
-        Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact).advance(0.15, 5e-3)
+        Dynamics(
+            batch, scheme="euler", radius=RADIUS, contact=contact, keeps_recording=True
+        ).advance(0.15, 5e-3)
         return batch.positions()
 
     together = end([0, 1, 2])
@@ -237,7 +249,14 @@ def test_a_load_that_sinks_a_rod_deep_is_no_tunnelling():
     batch = rods(position)
     soft = WEIGHT * 0.066 / (0.7 * RADIUS * 0.006)
     contact = Contact(batch, RADIUS, soft, Friction(0.6), shapes=(pin,))
-    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=20.0)
+    dynamics = Dynamics(
+        batch,
+        scheme="euler",
+        radius=RADIUS,
+        contact=contact,
+        air_damping=20.0,
+        keeps_recording=True,
+    )
     assert not dynamics.advance(0.3, 5e-3).diverged.any()
     assert 0.5 * RADIUS < contact.penetration()[0] < RADIUS
     assert contact.force.numpy()[0, :, 2].sum() == pytest.approx(WEIGHT * 0.066, rel=0.05)
@@ -257,7 +276,7 @@ def test_capstan_of_rod_on_rod():
     contact = RodContact(batch, radius, Friction(friction), stiffness=1e4, partners=64)
     dynamics = Dynamics(
         batch, scheme="euler", radius=radius, contact=contact, air_damping=20.0,
-        motion=Pull(batch, [0.0, 0.0, -1.0]),
+        motion=Pull(batch, [0.0, 0.0, -1.0]), keeps_recording=True
     )  # fmt: skip
     ratios, until = [], 0.1
     for _ in range(4):

@@ -121,7 +121,9 @@ def test_rods_of_one_row_do_not_feel_each_other_apart():
     for batch, i in ((pair, 15), (single, 0)):
         hold(batch, [i, i + 1])
         contact = RodContact(batch, RADIUS, Friction(0.3))
-        Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact).advance(0.05, 5e-3)
+        Dynamics(
+            batch, scheme="euler", radius=RADIUS, contact=contact, keeps_recording=True
+        ).advance(0.05, 5e-3)
     assert pair.positions()[0, 15:] == pytest.approx(single.positions()[0], abs=1e-9)
 
 
@@ -129,7 +131,7 @@ def test_rods_of_one_row_do_not_feel_each_other_apart():
 def test_momentum_when_two_free_rods_collide(scheme):
     batch = scene(line(0, offset=(0, 0.0005, 0)), line(1, offset=(0.0007, 0, 3 * RADIUS)))
     contact = RodContact(batch, RADIUS, Friction(0.3))
-    dynamics = Dynamics(batch, scheme=scheme, radius=RADIUS, contact=contact)
+    dynamics = Dynamics(batch, scheme=scheme, radius=RADIUS, contact=contact, keeps_recording=True)
     velocity = np.zeros((1, 30, 3))
     velocity[0, 15:] = [0.03, 0.05, -0.1]
     dynamics.set_velocity(velocity)
@@ -159,7 +161,14 @@ def test_crossing_rods_pressed_together():
     load[0, 25:27, 2] = -0.02
     batch.point_load.assign(load)
     contact = RodContact(batch, RADIUS, Friction(0.4))
-    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=30.0)
+    dynamics = Dynamics(
+        batch,
+        scheme="euler",
+        radius=RADIUS,
+        contact=contact,
+        air_damping=30.0,
+        keeps_recording=True,
+    )
     dynamics.advance(1.0, 4e-3)
     force = contact.forces()[0]
     expected = 0.04 + WEIGHT * 0.075
@@ -185,7 +194,13 @@ def on_rails(angles, friction, smooth=False):
     prescribe(batch, clamped_nodes=range(14), clamped_angles=range(14))
     contact = RodContact(batch, RADIUS, friction, smooth=smooth)
     dynamics = Dynamics(
-        batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=0.0, tolerance=1e-8
+        batch,
+        scheme="euler",
+        radius=RADIUS,
+        contact=contact,
+        air_damping=0.0,
+        tolerance=1e-8,
+        keeps_recording=True,
     )
     dynamics.air_damping.fill_(30.0)
     dynamics.advance(0.2, 4e-3)
@@ -240,7 +255,11 @@ def test_nothing_tunnels(speed, step):
     batch = scene(*rails, line(0, offset=(0, 0.001, 4 * RADIUS)))
     prescribe(batch, clamped_nodes=range(18), clamped_angles=range(18))
     dynamics = Dynamics(
-        batch, scheme="euler", radius=RADIUS, contact=RodContact(batch, RADIUS, Friction(0.3))
+        batch,
+        scheme="euler",
+        radius=RADIUS,
+        contact=RodContact(batch, RADIUS, Friction(0.3)),
+        keeps_recording=True,
     )
     velocity = np.zeros((1, 33, 3))
     velocity[0, 18:, 2] = -speed
