@@ -53,14 +53,14 @@ def assemble(
     models = {id(rod): RodModel.of(rod) for rod in {id(t.rod): t.rod for t in trials}.values()}
     batch, rods = _batch(trials, models, setups, device)
     sided = {key: model.has_sides for key, model in models.items()}
-    radius = np.array([rod.radius for rod in rods])
+    radius, table = np.array([rod.radius for rod in rods]), [Plane()]
     load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
     contact = Contact(
         batch,
         radius,
         _stiffness(rods, [t.fixtures for t in trials]),
         [t.friction for t in trials],
-        [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
+        [table if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
         keeps_roll=np.array([sided[id(t.rod)] or t.trajectory.spin != 0.0 for t in trials]),
         friction_field=friction_field,
         passive=np.arange(batch.node_count) == np.full((len(rods), 1), batch.node_count - 1),
@@ -114,11 +114,15 @@ def _stiffness(rods: list[RodModel], fixtures: list[Fixtures | None]) -> np.ndar
 def _batch(trials, models, setups, device) -> tuple[RodBatch, list[RodModel]]:
     """The rods as they are: with the L_gb that they have, not the one that the plan believed, and
     described in the directors of the laid rod, the first to its left, the second above it."""
-    held = []
+    held: list[RodModel] = []
+    known: dict[tuple, RodModel] = {}  # plans are compared by the same rods
     for trial in trials:
-        rod, bent = models[id(trial.rod)], trial.disturbance
-        rod = rod.stiffened((1.0 + bent.lgb_error) ** 3)
-        held.append(rod.turned(trial.trajectory.roll).bent(bent.natural_curvature))
+        roll, bent = trial.trajectory.roll, trial.disturbance
+        key = id(trial.rod), roll, bent.lgb_error, bent.natural_curvature
+        if key not in known:
+            rod = models[id(trial.rod)].stiffened((1.0 + bent.lgb_error) ** 3)
+            known[key] = rod.turned(roll).bent(bent.natural_curvature)
+        held.append(known[key])
     arc, position = (np.stack([getattr(s, n) for s in setups]) for n in ("arc_length", "position"))
     ghost = arc[:, 1:2] - arc[:, :1]
     along = Rotation.from_quat([setup.schedule.rotation[0] for setup in setups]).apply([1, 0, 0])

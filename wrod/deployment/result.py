@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -95,12 +96,18 @@ def errors_along(
         arc_length: (node,) arc length from the free end [m].
         centerline: (node, 3) [m].
     """
-    s = np.linspace(0.0, pattern.length, METRIC_POINTS)
-    target = pattern.sample(s)[0]
+    s, target = _metric_points(pattern)
     on_rod = [
         np.interp(s + pattern.remainder_length, arc_length, centerline[:, c]) for c in range(2)
     ]
     return s, np.hypot(*(np.array(on_rod) - target[:, :2].T))
+
+
+@lru_cache(maxsize=256)
+def _metric_points(pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
+    """Arc length (50,) and position (50, 3) [m]; a pattern is laid again and again."""
+    s = np.linspace(0.0, pattern.length, METRIC_POINTS)
+    return s, pattern.sample(s)[0]
 
 
 def deployment_error(

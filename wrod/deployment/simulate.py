@@ -138,7 +138,8 @@ def simulate_deployments(
         return []
     device = resolve_device(device)
     refuse_endless(trials, speed, discretisation, frame_interval)
-    for trial in trials:
+    plans = {(id(t.pattern), id(t.rod), id(t.trajectory), t.another_rod): t for t in trials}
+    for trial in plans.values():
         refuse_other_plans(trial)
     compile_steps(device)
     setups = prepare_trials(trials, hold, release, speed, discretisation)
