@@ -18,6 +18,7 @@ from wrod.controller.curved import untwisted
 from wrod.errors import DataError
 from wrod.files import schemas
 from wrod.grasps.inputs import CLOSURES
+from wrod.grasps.levels import compile_kernels
 from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
 from wrod.grasps.results import Grasps
 from wrod.rods.material import RodMaterial
@@ -76,6 +77,7 @@ class Outcome:
         solved: of these, in this call; the others were there.
         unconverged, unstable: among `samples`, by number; readers leave them out.
         seconds: spent in this call.
+        first: of these, those until the first samples were solved, which every rank needs.
     """
 
     samples: int
@@ -83,6 +85,7 @@ class Outcome:
     unconverged: int
     unstable: int
     seconds: float
+    first: float = 0.0
 
 
 def generate(
@@ -157,12 +160,14 @@ def generate(
     group_size = 1 if device == "cpu" else max(1, _CUDA_BATCH // shard_size)
     threads = max(1, (os.cpu_count() or 1) // rank.local_count)
     groups = [waiting[k : k + group_size] for k in range(0, len(waiting), group_size)]
-    for parts in _solved(manifest, groups, one, device, threads, folder):
+    first: list[float] = []
+    for parts in _solved(manifest, groups, one, device, threads, folder, first):
         for part in parts:
             tally.add(part, solved=True)
     return Outcome(
-        tally.samples, tally.solved, tally.unconverged, tally.unstable, time.perf_counter() - start
-    )
+        tally.samples, tally.solved, tally.unconverged, tally.unstable,
+        time.perf_counter() - start, first[0] - start if first else 0.0,
+    )  # fmt: skip
 
 
 def _check_size(size: int, shard_size: int) -> None:
@@ -198,9 +203,11 @@ def _solved(
     device: str,
     threads: int,
     folder: Path,
+    solved: list[float],
 ) -> Iterator[list[dict]]:
     """Columns of groups of shards, as they have been written. While one is solved, the one before
-    is written and the one after sampled: both would keep a GPU waiting."""
+    is written and the one after sampled, and while the first is sampled kernels are loaded: all
+    would keep a GPU waiting. `solved` gets the times when a group was."""
 
     def inputs(group: list[int]) -> np.ndarray:
         return np.concatenate([sample(*manifest.rows(k), manifest.seed, one) for k in group])
@@ -212,11 +219,14 @@ def _solved(
 
     with ThreadPoolExecutor(1) as sampler, ThreadPoolExecutor(1) as writer:
         sampled = [sampler.submit(inputs, group) for group in groups[:1]]
+        if groups and (one is None or one.is_straight):
+            compile_kernels(device, manifest.sensitivities)
         written: list[Future] = []
         for k, group in enumerate(groups):
             values = sampled.pop().result()
             sampled += [sampler.submit(inputs, after) for after in groups[k + 1 : k + 2]]
             parts = _solve(manifest, group, values, one, device, threads)
+            solved.append(time.perf_counter())
             if written:
                 yield written.pop().result()
             written.append(writer.submit(write, parts))

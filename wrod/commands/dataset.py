@@ -81,6 +81,7 @@ def command(
         "unconverged": outcome.unconverged,
         "unstable": outcome.unstable,
         "seconds": outcome.seconds,
+        "seconds_until_first": outcome.first,
         "per_second": outcome.solved / outcome.seconds,
         "rank": rank.index,
         "ranks": rank.count,
@@ -93,6 +94,6 @@ def command(
     tell(
         figures,
         f"{label}: {outcome.samples}, {outcome.solved} solved now in {outcome.seconds:.1f} s "
-        f"({figures['per_second']:.0f} per second)",
+        f"({figures['per_second']:.0f} per second), the first after {outcome.first:.2f} s",
         f"not converged {outcome.unconverged}, unstable {outcome.unstable}; left out",
     )
