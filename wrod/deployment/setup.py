@@ -110,7 +110,7 @@ class Disturbance:
     def displaced(self, points: np.ndarray, origin: np.ndarray) -> np.ndarray:
         """Points (n, 3) that the robot means, where it has them: turned about `origin` (3,) and
         shifted [m]."""
-        return self.turned(points - origin) + origin + np.array([*self.offset, 0.0])
+        return self.turned(points - origin) + (origin + np.array([*self.offset, 0.0]))
 
     def turned(self, vectors: np.ndarray) -> np.ndarray:
         """Vectors (..., 3) turned about z by the yaw."""
@@ -314,7 +314,8 @@ def _schedule(path, tail, begin, turns, release, held_nodes, speed):
     let_go_time = measure_time + lay + 0.5 * _REST
     end_time = let_go_time + _FALL
     t = np.arange(0.0, let_go_time + 2 * KEY_INTERVAL, KEY_INTERVAL)
-    position, rotation = path(laid(t - approach))
+    covered = laid(t - approach)
+    position, rotation = path(covered)
     if tail_path is not None:
         late = t > measure_time
         after = tail_path(tail_laid(t[late] - measure_time))
@@ -327,12 +328,12 @@ def _schedule(path, tail, begin, turns, release, held_nodes, speed):
     spin = 2.0 * np.pi * turns * (1.0 - share)
     rotation = rotation * Rotation.from_rotvec(spin[:, None] * [1.0, 0.0, 0.0])
     # Not before the rod has come to rest at the trajectory's first pose.
-    at = np.searchsorted(laid(t - approach), release)
+    at = np.searchsorted(covered, release)
     let_free = max(float(t[min(int(at), len(t) - 1)]), approach)
     schedule = GripSchedule(
         position, one_hemisphere(rotation.as_quat()), held_nodes, let_free, let_go_time
     )
-    return schedule, approach, measure_time, end_time, laid(t - approach)
+    return schedule, approach, measure_time, end_time, covered
 
 
 def one_hemisphere(quaternions: np.ndarray) -> np.ndarray:
