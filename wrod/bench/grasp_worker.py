@@ -5,6 +5,7 @@ older wrod than this file.
 the seconds of one call on the first inputs of the file, and the share that converged.
 """
 
+import gc
 import importlib.util
 import inspect
 import sys
@@ -62,7 +63,11 @@ def main() -> None:
         seconds = time.perf_counter() - clock
         converged = grasps.converged
         converged = converged.numpy() if hasattr(converged, "numpy") else converged
-        print("seconds", seconds, float(converged.mean()), flush=True)
+        share = float(converged.mean())
+        grasps = converged = None  # the other process may need the room
+        gc.collect()
+        wp.synchronize_device(device)
+        print("seconds", seconds, share, flush=True)
 
 
 if __name__ == "__main__":
