@@ -71,7 +71,7 @@ def command(
             "and begin it again with the same --out, and it goes on"
         )
     kept: dict[str, Any] = {"steps": out / "steps.jsonl"} if moves else {}
-    what = f"{data.name} identified (several times as long if no effect explains it)"
+    what = f"{data.name} identified (minutes if it is far off its model, or nothing explains it)"
     if minutes is not None:
         kept["seconds"] = 60.0 * minutes
         work = replace(work, seconds=min(work.seconds, kept["seconds"]))

@@ -187,7 +187,7 @@ def _checked(curve: np.ndarray, pattern: Pattern, name: str) -> np.ndarray:
     if distance(best) > _FAR * wanted:
         raise DataError(
             f"{name}: lies {distance(best):.3g} m from the pattern on average; give it in the "
-            "pattern's frame, in metres"
+            "pattern's frame, in metres, and the pattern with the remainder that its plan has"
         )
     return best
 
