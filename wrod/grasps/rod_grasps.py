@@ -111,7 +111,8 @@ def solve_rod_grasps(
         curvature: signed curvature of the pattern there [1/m], (n,) or one for all.
         closure: "zero_tension", "min_force" or "min_friction".
         roll: angle of the laid rod about its tangent at the contact, from up to its first material
-            director m_1, (n,) or one for all [rad]; positive leans to the right.
+            director m_1, (n,) or one for all [rad]; positive leans to the right. It is that of
+            `wrod.plan`, which counts from left towards up, less a quarter turn.
         natural_share: of the rod's natural curvature, (n,) or one for all: with less than 1 the
             grasps are those of a rod that is closer to straight (see `wrod.grasps.relaxed`).
         device, edge_count, extrapolate, threads: see `wrod.solve_grasps`.
