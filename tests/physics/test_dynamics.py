@@ -373,7 +373,7 @@ def test_frames_are_recorded_at_their_times():
 
     batch = cantilever(11)
     dynamics = Dynamics(batch, radius=0.01, keeps_recording=True)
-    frames = wp.zeros((1, 6, batch.dof_count), dtype=wp.float64)
+    frames = wp.zeros((1, 6, batch.dof_count), dtype=wp.float64, device=batch.device)
     dynamics.advance(0.1, 0.01, frames=frames, frame_interval=0.02)
     film = frames.numpy().copy()
     again = Dynamics(cantilever(11), radius=0.01, keeps_recording=True)

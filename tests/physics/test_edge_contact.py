@@ -74,7 +74,8 @@ def test_hessian_is_the_derivative_of_the_forces(name, rolling):
     contact = Contact(batch, RADIUS, 1e5, law, shapes=(SHAPES[name],))
     dof = batch.state.dof.numpy().copy()
     # The rods have moved in this step, so that bristles know where to slide.
-    before = wp.array(dof + 1e-4 * np.random.default_rng(3).standard_normal(dof.shape))
+    moved = dof + 1e-4 * np.random.default_rng(3).standard_normal(dof.shape)
+    before = wp.array(moved, device=batch.device)
 
     def forces(dof):
         out = batch.derivatives
