@@ -141,11 +141,13 @@ class NewtonSteps(Steps):
         for contact in self.contacts:
             contact.refuse(self.converged, self.active, dof, start.dof)
         if self._scheme and self.contacts:
-            self._per_dof(
-                kernels.extrapolate, [self.converged, self.pace, dof, start.dof], [self._end]
-            )
+            end = dof
+            if SCHEMES[self._scheme] == "midpoint":
+                end = self._end
+                inputs = [self.converged, self.pace, dof, start.dof]
+                self._per_dof(kernels.extrapolate, inputs, [end])
             for contact in self.contacts:
-                contact.find_touching(self.converged, self._end, start.dof, self.touching)
+                contact.find_touching(self.converged, end, start.dof, self.touching)
         self._judge(largest, smallest)
 
     def _judge(self, largest: float, smallest: float) -> None:
