@@ -9,6 +9,7 @@ the point would that moves by -u, and turns the normal besides.
 
 import warp as wp
 from wrod.kernels.contact.closest import SMOOTHING, Closest, is_fixture
+from wrod.kernels.contact.edge_rolling import edge_rolled, follow_turn
 from wrod.kernels.contact.edges import (
     EdgeTouch,
     edge_relaxation,
@@ -17,7 +18,7 @@ from wrod.kernels.contact.edges import (
     is_late,
 )
 from wrod.kernels.contact.planes import Touchable, coefficient, damped_force, return_mapping
-from wrod.kernels.contact.rolling import Rolled, by_logarithms, rolled
+from wrod.kernels.contact.rolling import by_logarithms
 from wrod.kernels.contact.shapes import WITH_RODS, shape_displacement
 from wrod.kernels.elastic.assembly import add_vector
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node
@@ -217,15 +218,13 @@ def find_unknown(
     touching_out: wp.array(dtype=wp.int32),
 ):
     """Say of the chosen rods whether they touch a solid in a way that has no adjoint: one that
-    moves with rods, that moves and keeps their roll, that turns them, or that they come out of.
-    Launched over (rod, edge)."""
+    moves with rods, that turns them, or that they come out of. Launched over (rod, edge)."""
     r, i = wp.tid()
     if chosen[r] == 0 or model.radius[r, i] == ZERO:
         return
     for k in range(model.shapes.shape[1]):
         known = model.shapes[r, k].moves != WITH_RODS and hidden[r, i] == ZERO
         known = known and model.rolling[r] == ZERO
-        known = known and (model.shapes[r, k].moves == 0 or model.roll_friction[r, k] < ZERO)
         if is_fixture(model.shapes[r, k]):
             c = edge_touch(model, dof, dof_before, wp.vec3d(), r, k, i)
             if c.force > ZERO and not known:
@@ -286,14 +285,6 @@ def wanted_of(c: Change, w: Ends) -> wp.float64:
 
 
 @wp.func
-def edge_rolled(model: Touchable, step: OneStep, h: Held, r: int, k: int, i: int) -> Rolled:
-    """What keeps the roll of an edge on a solid that stands still."""
-    turn = step.edge_turned[r, k, i] + step.dof[r, 4 * i + 3] - step.dof_before[r, 4 * i + 3]
-    arm = wp.abs(model.radius[r, i])
-    return rolled(turn, h.stiffness, arm, model.roll_friction[r, k], h.force)
-
-
-@wp.func
 def wanted_of_three(h: Held, first: int, w: Ends) -> wp.vec3d:
     out = wp.vec3d(ZERO, ZERO, ZERO)
     for b in range(3):
@@ -349,7 +340,7 @@ def want_friction(
             parts = wp.vec2d(ZERO, ZERO)
             friction = wp.float64(0.0)
             if model.roll_friction[r, k] >= ZERO:
-                kept = edge_rolled(model, step, h, r, k, i)
+                kept = edge_rolled(model, step, h.stiffness, h.force, r, k, i)
                 by_step = -x[r, 0, 4 * i + 3][0]
                 by_end = now.edge_turned[r, k, i] / kept.whole
                 w.force = kept.per_force * (by_step + by_end)
@@ -359,6 +350,10 @@ def want_friction(
                 wp.atomic_add(now.turn, r, i, -kept.stiffness * by_step)
                 wp.atomic_add(before.dof, r, 4 * i + 3, -turned)
                 wp.atomic_add(before.turn, r, i, turned)
+                if model.shapes[r, k].moves != 0:
+                    carried = follow_turn(model.shapes[r, k], h.edge)
+                    wp.atomic_add(by_shape.turn, r, k, -turned * carried.now)
+                    wp.atomic_add(by_shape.turn_at_start, r, k, -turned * carried.at_start)
             for b in range(6):
                 wanted = wanted_of(follow(h, AT_START + b), w)
                 wp.atomic_add(before.dof, r, 4 * (i + b / 3) + b % 3, wanted)

@@ -7,7 +7,8 @@ edges' inertia is, and a bristle that slides turns by the normal force.
 """
 
 import warp as wp
-from wrod.kernels.contact.edge_adjoint import edge_rolled, follow, hold
+from wrod.kernels.contact.edge_adjoint import follow, hold
+from wrod.kernels.contact.edge_rolling import edge_rolled, follow_turn
 from wrod.kernels.contact.edges import edge_touch
 from wrod.kernels.contact.planes import PLANE, Touchable, present_force, touch
 from wrod.kernels.contact.rolling import Rolled, node_turn, rolled
@@ -113,13 +114,17 @@ def want_edge_rolls(
             c = edge_touch(model, step.dof, step.dof_before, bristle, r, k, i)
             if c.force > ZERO:
                 touched = hold(model, step, c, r, k, i)
-                h = edge_rolled(model, step, touched, r, k, i)
+                h = edge_rolled(model, step, touched.stiffness, touched.force, r, k, i)
                 wanted = now.edge_turned[r, k, i] / h.whole
                 turn_edge(step, h, ONE, wanted, r, i, now, m)
                 wp.atomic_add(gradient, r, 4 * i + 3, h.torque)
                 wp.atomic_add(m.hessian, r, 4 * i + 3, 0, h.stiffness)
+                way = wp.vec3d(ZERO, ZERO, ZERO)
+                if model.shapes[r, k].moves != 0:
+                    way = h.stiffness * follow_turn(model.shapes[r, k], touched.edge).by_edge
                 for b in range(6):
                     by = h.per_force * follow(touched, b).force
+                    by += wp.where(b < 3, way[b % 3], -way[b % 3])
                     block[b] = block[b] + by
                     wp.atomic_add(now.dof, r, 4 * (i + b / 3) + b % 3, wanted * by)
     m.roll_of_edge[r, i] = block

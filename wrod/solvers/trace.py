@@ -213,9 +213,8 @@ class Trace:
         if touched.any():
             raise RodError(
                 f"row {int(np.flatnonzero(touched)[0])} of rods touches something in this step "
-                "through which gradients are not there; they are through what stands still and, of "
-                "rods without natural curvature, through solids that others move, where rods begin "
-                "outside them"
+                "through which gradients are not there; they are through planes that stand still, "
+                "and through solids that do not move with rods, where rods begin outside them"
             )
         state = self.batch.state
         return Record(
