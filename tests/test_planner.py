@@ -201,6 +201,13 @@ def test_bend_tighter_than_the_rod_is_refused():
         wrod.plan(small, ROD, "intuitive", remainder=False)
 
 
+def test_rod_longer_than_is_solved_is_refused_in_metres():
+    rod = replace(wrod.rod("green-vps"), length=3.3)
+    for method in ("auto", "numeric"):
+        with pytest.raises(PatternError, match=r"rod of 3.3 m .* up to the 3.2 m \(100 L_gb\)"):
+            wrod.plan(wrod.pattern("line"), rod, method)
+
+
 def test_bend_beyond_what_is_solved_is_refused_in_units_of_the_pattern():
     stiff = wrod.RodMaterial(0.001, 0.3, 1.5)
     with pytest.raises(PatternError, match=r"20 1/m at s = .*the 16\.7 1/m \(5 / L_gb\).*round it"):

@@ -20,6 +20,7 @@ from wrod.planning.reservations import (
     refuse_tight_bends,
     refuse_unconverged,
     refuse_unsolved_bends,
+    refuse_unsolved_length,
     warn_relaxed,
     warn_unstable,
 )
@@ -75,6 +76,8 @@ def plan_grasps(
     _, _, curvature = course = pattern.sample(s)
     if method != "intuitive":
         refuse_unsolved_bends(pattern, rod, s, curvature)
+    if method not in ("intuitive", "neural"):  # a controller goes on beyond, with a warning
+        refuse_unsolved_length(pattern, rod)
     roll = roll_angle(roll, pattern, rod)
     inputs = GraspInputs.of(
         rod, rod.length - (s - s[0]), curvature,

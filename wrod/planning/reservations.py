@@ -27,6 +27,18 @@ def refuse_tight_bends(pattern: Pattern, rod: RodModel | RodMaterial) -> None:
         raise _too_tight(pattern, curvature, at, f"the rod's own radius of {rod.radius:g} m")
 
 
+def refuse_unsolved_length(pattern: Pattern, rod: RodModel | RodMaterial) -> None:
+    """Refuse rods of which more hangs than grasps are solved for."""
+    longest = LIMITS["suspended_length"][1]
+    hangs = longest * rod.gravito_bending_length
+    if rod.length > hangs:
+        raise PatternError(
+            f"{pattern.source}: of a rod of {rod.length:.4g} m grasps are solved up to the "
+            f"{hangs:.3g} m ({longest:g} L_gb) that may hang from the hand; let the hand hold it "
+            "nearer, with that as its length, or lay the pattern in pieces"
+        )
+
+
 def refuse_unsolved_bends(
     pattern: Pattern, rod: RodModel | RodMaterial, s: np.ndarray, curvature: np.ndarray
 ) -> None:
