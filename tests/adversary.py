@@ -13,6 +13,7 @@ The same seed draws the same calls.
 
 from __future__ import annotations
 
+import ast
 import multiprocessing
 import os
 import random
@@ -322,22 +323,28 @@ def work(task: tuple) -> list[tuple]:
 @click.option("--minutes", default=60.0, show_default=True, help="Begin none after that.")
 @click.option("--only", default="", help="Commands that begin so.")
 @click.option("--listed", is_flag=True, help="Of the tables, all where --count is above.")
-@click.option("--log", type=click.Path(path_type=Path), help="A line for every call.")
+@click.option(
+    "--log",
+    type=click.Path(path_type=Path),
+    help="A line for every call. What it has, of an earlier run with that seed, is not made again.",
+)
 def cli(count, first, seed, workers, minutes, only, listed, log) -> None:
     """Make hostile calls, and say which ended as none may."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ["PYTHONPATH"] = os.pathsep.join(p for p in sys.path if p)
     end = time.monotonic() + 60 * minutes
+    earlier = log.read_text("utf-8", "replace").splitlines() if log and log.exists() else []
+    rows = {row[0]: row for row in map(ast.literal_eval, earlier)}
     with tempfile.TemporaryDirectory() as place:
-        numbers = range(first, first + count)
+        numbers = [n for n in range(first, first + count) if n not in rows]
         tasks = [
             (Path(place) / str(k), seed, numbers[k::workers], only, listed, end, log)
             for k in range(workers)
         ]
         context = multiprocessing.get_context("spawn")
         with context.Pool(workers) as pool:
-            rows = sorted(row for rows in pool.imap_unordered(work, tasks) for row in rows)
-    sys.exit(bool(_told(rows)))
+            rows |= {row[0]: row for made in pool.imap_unordered(work, tasks) for row in made}
+    sys.exit(bool(_told(sorted(rows.values()))))
 
 
 def _told(rows: list[tuple]) -> int:
