@@ -88,3 +88,7 @@ def test_what_usd_cannot_say_is_refused(tmp_path):
     UsdGeom.BasisCurves(stage.GetPrimAtPath("/cables/cable_0")).CreateTypeAttr("cubic")
     with pytest.raises(RodError, match="linear"):
         read(stage)
+    for metre in (1e300, 0.0, float("nan")):
+        UsdGeom.SetStageMetersPerUnit(stage, metre)
+        with pytest.raises(RodError, match="metersPerUnit"):
+            read(stage)

@@ -118,3 +118,21 @@ def test_descriptions_that_say_too_little():
         SolverDER.add_newton_rod(builder, newton.Rod(helix(), radius=0.004))
     with pytest.raises(RodError, match=r"must be a newton\.Rod"):
         SolverDER.add_newton_rod(builder, helix())
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"radius": "x"}, {"youngs_modulus": []}, {"shear_modulus": np.nan}, {"rest_straight": []},
+        {"_edges": [(0, 9)]}, {"_points": np.nan}, {"_quaternions": np.zeros((3, 3))},
+    ],
+)  # fmt: skip
+def test_descriptions_that_were_changed_are_checked(changed):
+    builder = newton.ModelBuilder()
+    wrod.SolverDER.register_custom_attributes(builder)
+    points = [[0.1 * k, 0.0, 1.0] for k in range(5)]
+    rod = newton.Rod(points, radius=0.003, youngs_modulus=1e6, poissons_ratio=0.4)
+    for name, value in changed.items():
+        setattr(rod, name, value)
+    with pytest.raises(RodError, match=f"Rod: {min(changed).strip('_')} "):
+        wrod.SolverDER.add_newton_rod(builder, rod)

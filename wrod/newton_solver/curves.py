@@ -37,6 +37,8 @@ def add_curves(builder, source, add, **options) -> dict[str, list[int]]:
             raise RodError(f"there is no USD file {str(source)!r}")
         stage = open_stage(source)
     metre = UsdGeom.GetStageMetersPerUnit(stage)
+    if not 1e-9 <= metre <= 1e6:
+        raise RodError(f"metersPerUnit is {metre:g}; it must be from 1e-9 to 1e6")
     upright = np.eye(3)
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
         upright = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

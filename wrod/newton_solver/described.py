@@ -7,17 +7,31 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from wrod.arguments import array, check_fields, flag, number, optional
 from wrod.errors import RodError
 from wrod.rods.model import RodModel
 from wrod.rods.rotation import angle_about, transport, unit
 
+# A newton.Rod checks what it is made of, and not what it is given later.
+_NUMBERS = (
+    "radius", "youngs_modulus", "poissons_ratio", "shear_modulus", "stretch_rigidity",
+    "bend_rigidity", "twist_rigidity",
+)  # fmt: skip
+_FIELDS = {
+    "points": array((None, 3)), "edges": array((None, 2)), "quaternions": array((None, 4)),
+    "rest_points": optional(array((None, 3))), "rest_quaternions": optional(array((None, 4))),
+    "closed": flag, "rest_straight": flag, **dict.fromkeys(_NUMBERS, optional(number())),
+}  # fmt: skip
 # What joins the ends of a ring or of branches is a body; its share of the mass of one edge.
 _JOINT_MASS = 0.01
 
 
 def add_described(builder, described: newton.Rod, density: float, add, **options) -> list[int]:
     """`SolverDER.add_newton_rod`, which documents the arguments; `add` is `SolverDER.add_rod`."""
+    check_fields(described, RodError, **_FIELDS)
     points = np.array(described.points, dtype=np.float64)
+    if not ((np.array(described.edges) >= 0) & (np.array(described.edges) < len(points))).all():
+        raise RodError(f"Rod: edges name other points than its {len(points)}")
     edges = [(int(a), int(b)) for a, b in described.edges]
     if described.closed:
         edges[-1] = (edges[-1][0], edges[0][0])
