@@ -306,11 +306,11 @@ class Dynamics(NewtonSteps):
         self._per_rod(pace.set_until, [wp.float64(duration)], [self.pace])
         self._begin_advance(step)
 
-        def take_rounds() -> None:
-            def take_round() -> None:
-                self._take_round(step, smallest, None, 1.0)
-                self._ask(_ENDLESS)
+        def take_round() -> None:
+            self._take_round(step, smallest, None, 1.0)
+            self._ask(_ENDLESS)
 
+        def take_rounds() -> None:
             self._rounds.zero_()
             self._ask(_ENDLESS)
             wp.capture_while(self._goes_on, take_round)
@@ -320,12 +320,19 @@ class Dynamics(NewtonSteps):
         if device.is_capturing and not decides:
             raise RodError("a step in a CUDA graph needs CUDA 12.4 or newer; step without a graph")
         key = (duration, step, smallest, self.tolerance)
-        graph = self._recorded(key)
-        if graph is not None and not device.is_capturing:
+        records = self.keeps_recording and decides and not device.is_capturing
+        graph = self._recorded(key) if records else None
+        if graph is None and records and device.is_cpu:
+            # It replays rounds five times as fast as it makes their launches: all but the first,
+            # which compiles the kernels.
+            take_round()
+            graph = record(device, take_rounds)
+            self._recording = (key, graph) if graph else None
+        if graph is not None:
             replay(graph)
             return
         take_rounds()
-        if self.keeps_recording and decides and not device.is_capturing:
+        if records and not device.is_cpu:
             graph = record(device, take_rounds)
             self._recording = (key, graph) if graph else None
 
