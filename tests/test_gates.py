@@ -196,7 +196,12 @@ def test_a_cable_on_top_of_a_post_or_outside_is_not_placed():
     stiffness = 6000 * CABLE.weight / CABLE.radius
     contact = Contact(batch, CABLE.radius, stiffness, Friction(0.3), shapes=scene.shapes)
     dynamics = Dynamics(
-        batch, scheme="euler", radius=CABLE.radius, contact=contact, air_damping=5.0
+        batch,
+        scheme="euler",
+        radius=CABLE.radius,
+        contact=contact,
+        air_damping=5.0,
+        keeps_recording=True,
     )
 
     def judged():

@@ -112,7 +112,9 @@ def motion_example() -> dict[str, Any]:
     if not EquilibriumSolver(batch).solve(ramp_loads=True).converged.all():
         raise DataError("the example's cable found no equilibrium; use another seed")
     batch.gravity.assign(down)
-    moving = Dynamics(batch, scheme="bdf2", radius=_CABLE.radius, internal_damping=_DAMPING)
+    moving = Dynamics(
+        batch, scheme="bdf2", radius=_CABLE.radius, internal_damping=_DAMPING, keeps_recording=True
+    )
     shown = [0, *range(1, len(s) - 1, fine), len(s) - 1]
     positions = []
     for frame in range(_FRAMES):
