@@ -70,7 +70,8 @@ class LayingVectorEnv(OnDevice, VectorEnv):
         disturbed: whether robots shake and stand elsewhere, as in `wrod deploy --trials`.
         interval: between actions [s].
         reach, turn: [m], [rad] of an action of 1.
-        device: Warp device.
+        device: Warp device. On a CPU no other thread may launch kernels of its own during the first
+            `step` of an episode, which records them.
         step: of time, at most [s].
 
     Raises:
@@ -144,7 +145,8 @@ class LayingVectorEnv(OnDevice, VectorEnv):
             for mu, k in zip(self.mu, seeds, strict=True)
         ]  # fmt: skip
         setups = prepare_trials(trials, _HOLD, _RELEASE, _SPEED, USUAL)
-        batch, _, dynamics = assemble(trials, setups, device=self.device)
+        # Grips move by what is written into their arrays: rounds of one step serve all steps.
+        batch, _, dynamics = assemble(trials, setups, device=self.device, keeps_recording=True)
         motion: Any = dynamics.motion
         self._episode = _Episode(
             setups, batch, dynamics, motion.position.numpy().copy(), motion.rotation.numpy().copy()
