@@ -34,9 +34,7 @@ from wrod.telling import json_option, tell
 @click.option(
     "--damping",
     type=click.FloatRange(0.0, 1.0),
-    default=0.065,
-    show_default=True,
-    help="Kelvin-Voigt time of the rods' material [s].",
+    help="Kelvin-Voigt time of the rods' material [s]; default: that of recorded cables.",
 )
 @click.option(
     "--scenarios", default=64, show_default=True, help="Drawn scenarios a rod, beside 11."
@@ -53,7 +51,7 @@ def command(
     spacing: float,
     step: float,
     scheme: str,
-    damping: float,
+    damping: float | None,
     scenarios: int,
     device: str,
     threads: int | None,

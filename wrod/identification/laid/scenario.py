@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from wrod.deployment.assembly import INTERNAL_DAMPING
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.plan import plan
 from wrod.deployment.simulate import Trial, simulate_deployments
@@ -46,7 +45,7 @@ class Scenario:
             the rod stretches less, by its square [-].
         held: whether the first 5 cm are held along the pattern at first; otherwise the rod hangs
             straight above the pattern's first point and its free end is let go.
-        damping: Kelvin-Voigt time of the rod's material [s].
+        damping: Kelvin-Voigt time of the rod's material [s]; None: as deployments take it.
     """
 
     friction: float = 0.4
@@ -56,7 +55,7 @@ class Scenario:
     excess: float = 0.0
     radius_ratio: float = 1.0
     held: bool = False
-    damping: float = INTERNAL_DAMPING
+    damping: float | None = None
 
     def rod(self, believed: RodMaterial) -> RodMaterial:
         """The rod as it is in this scenario."""
