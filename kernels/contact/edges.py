@@ -34,6 +34,9 @@ wp.set_module_options({"enable_backward": False})
 # Longest relaxation over the step where a body gets the force a step late: damping that is late
 # drives.
 LATE = wp.constant(wp.float64(0.3))
+# Over what all edges may have that press such a body, what at most bears its weight: with each edge
+# as firm as one that bears it alone, many throw it off.
+BEARING = wp.constant(wp.float64(2.5))
 
 
 @wp.struct
@@ -62,14 +65,17 @@ def may_touch(m: Touchable, r: int, k: int, i: int) -> bool:
 
 @wp.func
 def edge_stiffness(m: Touchable, r: int, k: int, i: int) -> wp.float64:
-    """At most its share of what all edges may have; but at least so much that what an edge is to
-    bear goes in by two skins beyond half the first."""
+    """At most its share of what all edges may have, or of `BEARING` times that where an edge is to
+    bear something: what it is to bear then goes in by two skins beyond half the first."""
     out = wp.float64(m.stiffness[r, i])
-    if m.firmest.shape[1] > 0 and m.firmest[r, k] > ZERO:
-        edges = wp.max(m.near[m.bearer[r, k]], 1)
-        out = wp.min(out, m.firmest[r, k] / wp.float64(edges))
+    least = wp.float64(0.0)
     if m.burden.shape[1] > 0:
-        out = wp.max(out, HALF * m.burden[r, k] / m.skin[r, i])
+        least = HALF * m.burden[r, k] / m.skin[r, i]
+    if m.firmest.shape[1] > 0 and m.firmest[r, k] > ZERO:
+        share = m.firmest[r, k] / wp.float64(wp.max(m.near[m.bearer[r, k]], 1))
+        out = wp.min(out, share)
+        least = wp.min(least, BEARING * share)
+    out = wp.max(out, least)
     return out
 
 

@@ -17,8 +17,9 @@ _STANDARD_GRAVITY = 9.81
 # Rods are at most this stiff to a body that others move, over m / dt^2 of it: it gets their load a
 # step late, and firmer ones would throw it off.
 _FIRMEST = 0.6
-# Longest step over sqrt(m / k), k by which one edge is to bear it, that ten or so do not shake.
-_LONGEST = 0.3
+# Longest step over sqrt(m / k), k by which one edge is to bear it: in longer ones all together are
+# not firm enough.
+_LONGEST = 0.9
 
 
 class ShapeContact:
