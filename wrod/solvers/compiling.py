@@ -15,7 +15,7 @@ from wrod.kernels.linear.two_warps import ENDS
 _WIDE = 256  # Warp's own
 # Modules of `wrod.kernels`, by the size of the blocks in which they are launched.
 _STEPS = {
-    WARP: ("stepping.pace", "stepping.newton_iteration", "linear.banded_lanes", "elastic.bending"),
+    WARP: ("stepping.pace", "stepping.newton_iteration", "elastic.bending"),
     ENDS: ("linear.banded_ends",),
     _WIDE: (
         "elastic.frames",
@@ -23,11 +23,12 @@ _STEPS = {
         "stepping.continuation",
         "contact.planes",
         "stepping.dynamics",
+        "stepping.viscosity",
     ),
 }
 _LAYING = {_WIDE: ("stepping.grip",)}
 _COUPLED = {
-    WARP: ("contact.touching",),
+    WARP: ("contact.touching", "linear.banded_lanes"),
     TEAM: (
         "linear.skyline_order",
         "linear.skyline_ends",
