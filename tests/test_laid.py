@@ -117,6 +117,8 @@ def test_bad_centrelines_are_named(tmp_path, plan):
     (tmp_path / "torn.npz").write_bytes(b"PK\x03\x04torn")
     with pytest.raises(DataError, match=r"pixels\.npz: is a scan without"):
         load_laid([tmp_path / "pixels.npz"], pattern, noise=NOISE)
+    with pytest.raises(DataError, match="is a folder; give the scans, deployments or points in it"):
+        load_laid([tmp_path], pattern, noise=NOISE)
     for name in ("torn.npz", "missing.npz", "missing.txt"):
         with pytest.raises(DataError, match=name):
             load_laid([tmp_path / name], pattern, noise=NOISE)

@@ -17,7 +17,7 @@ def summary(figures: dict) -> str:
         + (f", closure {figures['closure']}" if figures["closure"] else "")
         + (f", grasps of the {figures['solver']}" if figures.get("solver") else ""),
     ]
-    if (off := figures.get("departure_from_points", 0.0)) > 0.0:
+    if (off := figures.get("departure_from_points", 0.0)) > 5e-5:
         lines.append(f"the curve leaves the lines between its points by {1e3 * off:.1f} mm at most")
     if "distilled" in figures:
         said = figures["distilled"]

@@ -139,6 +139,8 @@ def load_laid(
 
 
 def _read(path: Path, units: str | None, released: bool) -> np.ndarray:
+    if path.is_dir():
+        raise DataError(f"{path}: is a folder; give the scans, deployments or points in it")
     if path.suffix.lower() == ".npz":
         found = read_arrays(path, "a scan, a deployment or points (.npz)")
         line = "released_centerline" if released else "centerline"
