@@ -136,6 +136,8 @@ def test_boundary_is_where_admissible_grips_end():
 def test_rays_must_be_above_the_table():
     with pytest.raises(GraspError, match="rays"):
         boundary(5.0, RATIO, [0.5, 3.5])
+    with pytest.raises(GraspError, match="no grip on 5 rays"):
+        force_map(100.0, 50.0, rays=5, device="cpu")
 
 
 def test_both_optima_and_their_stability(manifold):

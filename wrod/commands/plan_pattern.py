@@ -42,7 +42,8 @@ def fit(curve, rod, shaping: Shaping) -> Prepared:
     """Resize a pattern, hold the rod at a length, round what bends too much for the rod.
 
     Raises:
-        PatternError: the curve departs from what was given by more than the tolerance.
+        PatternError: the curve departs from what was given by more than the tolerance, or is drawn
+            shorter than the rod is thick.
         RodError: the hold is not on the rod.
     """
     from wrod.errors import PatternError, RodError
@@ -63,6 +64,11 @@ def fit(curve, rod, shaping: Shaping) -> Prepared:
     if resize is not None:
         curve = curve.scaled(resize)
         notes.append(f"drawn {resize:g} times as large")
+        if curve.length < rod.radius:
+            raise PatternError(
+                f"--resize {resize:g} draws it {curve.length:.3g} m long, less than the radius of "
+                f"the rod, {rod.radius:g} m; give a larger factor"
+            )
     far, where = curve.departure()
     if far > tolerance:
         raise PatternError(

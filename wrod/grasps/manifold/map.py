@@ -11,7 +11,7 @@ import numpy as np
 from wrod.errors import GraspError
 from wrod.files import write_npz
 from wrod.grasps.inputs import CLOSURES, check_inputs
-from wrod.grasps.manifold.boundary import Boundary, boundary
+from wrod.grasps.manifold.boundary import EMPTY, Boundary, boundary
 from wrod.grasps.manifold.grips import EDGE_COUNT, grasp_shapes
 from wrod.grasps.manifold.optima import Optimum, find_optima
 from wrod.grasps.manifold.sampler import Patch, Sampler
@@ -84,7 +84,7 @@ def force_map(
         progress: called with the name of every stage.
 
     Raises:
-        GraspError: inputs out of range or an unknown closure.
+        GraspError: inputs out of range, an unknown closure, or no ray that holds a grip.
     """
     if closure not in CLOSURES:
         raise GraspError(f"unknown closure {closure!r}; use one of {', '.join(CLOSURES)}")
@@ -96,6 +96,11 @@ def force_map(
     say("boundary")
     angle = np.radians(np.linspace(5.0, 175.0, rays))
     edge = boundary(ls, ks, angle, device=device, threads=threads)
+    if (edge.kind[0] == EMPTY).all():
+        raise GraspError(
+            f"no grip on {rays} rays lays a rod of {ls[0]:g} L_gb with stretch ratio {ks[0]:g}; "
+            "give a shorter one, more rays or a larger ratio"
+        )
     say("forces")
     start = grasp_shapes(ls, 0.0 * ls, ks, EDGE_COUNT, device, threads)[0]
     maps = Sampler(float(ls[0]), float(ks[0]), start, offset, device, threads)
