@@ -128,7 +128,7 @@ ELIMINATE = (
         const double determinant = a * c - b * b;
         inverse[0] = reciprocal(a);
         inverse[1] = a * reciprocal(determinant);
-        if (b != 0.0) c = determinant * inverse[0];
+        if (SIDES == 2 || b != 0.0) c = determinant * inverse[0];
         const double last = smallest * (fabs(next) + smallest);
         if (fabs(c) < last) {
             c = c < 0.0 ? -last : last;
