@@ -408,7 +408,7 @@ CALLS = {
     ),
     "friction_bound": lambda: (
         wrod.friction_bound,
-        dict(pattern=line(), rod=vps(), friction=0.5, spacing=0.01),
+        dict(pattern=line(), rod=vps(), spacing=0.01),
     ),
     "Trajectory": lambda: (wrod.Trajectory, vars(path()).copy()),
     "Trajectory.save": lambda: (path().save, dict(path="/proc/none/a")),
