@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from wrod.commands.surroundings import refuse_few_addresses
+from wrod.commands.surroundings import refuse_few_addresses, refuse_little_data
 from wrod.errors import DataError, MissingExtraError, WrodError, blamed_variables
 
 # Exit codes: of input that cannot be used, of interruptions, and of a fault of ours.
@@ -101,6 +101,8 @@ def equipped(command: click.Command, path: str) -> click.Command:
                 raise MissingExtraError(module)
         if {"newton", "pxr"} & set(needed):
             refuse_few_addresses()
+        if "torch" in needed:
+            refuse_little_data()
         return run(*args, **kwargs)
 
     command.callback = guarded

@@ -9,6 +9,8 @@ from wrod.errors import DataError
 
 # Bytes of addresses that OpenUSD's threads and libraries take.
 _ADDRESSES = 4 * 2**30
+# Bytes of data that torch takes for its threads on a server of many cores.
+_DATA = 3 * 2**29
 # OpenCV ends the process for a variable that is neither, but for those that take words.
 _NUMBER = "[0-9]{1,18}([KM][Bb]|[km]b)?|[Tt]rue|TRUE|[Ff]alse|FALSE"
 _WORDS = (
@@ -29,6 +31,20 @@ def refuse_few_addresses() -> None:
         raise DataError(
             f"scenes need {_ADDRESSES >> 30} GiB of addresses, and this process may have "
             f"{limit / 2**30:.3g} GiB (ulimit -v); raise that limit"
+        )
+
+
+def refuse_little_data() -> None:
+    """Refuse a limit of data within which torch ends the process, which no handler hears of.
+
+    Raises:
+        DataError: `ulimit -d` is below that.
+    """
+    limit = resource.getrlimit(resource.RLIMIT_DATA)[0]
+    if limit != resource.RLIM_INFINITY and limit < _DATA:
+        raise DataError(
+            f"torch needs {_DATA / 2**30:.3g} GiB of data, and this process may have "
+            f"{limit / 2**30:.3g} GiB (ulimit -d); raise that limit"
         )
 
 
