@@ -23,7 +23,8 @@ shards 2 GiB); their headers are checked before anything is unpacked, nothing in
 and every array is checked against its table in `wrod/files/array_schemas.py`: type, shape, range,
 order, and finite but where NaN stands for what is not known. Points of a pattern are at most
 20 000, within 100 m of the origin; pictures have at most 36 million pixels; a URDF at most 500
-links, 50 000 elements and 16 MiB. Pipes, devices and folders are no files.
+links, 50 000 elements and 16 MiB. Lines of a campaign's file (`.jsonl`) end in a digest of what is
+on them, and one that was changed is refused. Pipes, devices and folders are no files.
 """
 _ROOTS = (
     schemas.RodFile, schemas.RodModelFile, schemas.Fixtures, schemas.TableFriction,

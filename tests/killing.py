@@ -44,7 +44,8 @@ COMMANDS = {
 }
 # What differs from run to run without any kill.
 _TIMES = re.compile(
-    r'"(seconds|cpu_seconds|machine|command|dataset_command|resumed|rate)": *("[^"]*"|[^,}\n]*)'
+    r'"(seconds|cpu_seconds|digest|machine|command|dataset_command|resumed|rate)"'
+    r': *("[^"]*"|[^,}\n]*)'
 )
 
 

@@ -1,11 +1,14 @@
 """Campaigns go on where they were stopped, and write the same as if they had not been."""
 
+import json
+
 import pytest
 from cli import refused
 from click.testing import CliRunner
 
 from wrod.bench import campaign
 from wrod.commands import main
+from wrod.errors import DataError
 from wrod.files.ledger import Ledger
 
 KEYS = ("course", "trial")
@@ -42,6 +45,20 @@ def test_rows_come_in_the_order_of_the_trials(tmp_path):
     ledger = Ledger(tmp_path / "trials.jsonl", {}, KEYS)
     ledger.add(rows_of([("b", 0), ("a", 0), ("c", 0)], lambda fraction: None))
     assert [row["course"] for row in ledger.of([("a", 0), ("b", 0), ("d", 0)])] == ["a", "b"]
+
+
+def test_a_line_that_was_changed_is_refused(tmp_path):
+    path = tmp_path / "trials.jsonl"
+    Ledger(path, {}, KEYS).add(rows_of([("a", 0), ("b", 0)], lambda fraction: None))
+    head, line, other = path.read_text().splitlines()
+    row = json.loads(line)
+    changed = [row | {"value": 7}, row | {"more": 1}, {k: row[k] for k in list(row)[1:]}, {}]
+    for one in (*changed, {k: row[k] for k in list(row)[:-1]}, row | {"digest": None}):
+        path.write_text("\n".join([head, other, json.dumps(one), ""]))
+        with pytest.raises(DataError, match="line 3: is damaged; delete that line"):
+            Ledger(path, {}, KEYS)
+    path.write_text("\n".join([head, other, line.replace(", ", " ,\t"), ""]))
+    assert Ledger(path, {}, KEYS).lacking([("a", 0), ("b", 0)]) == []
 
 
 @pytest.mark.slow

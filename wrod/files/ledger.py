@@ -1,5 +1,9 @@
-"""The file of a campaign: one finished trial a line, so that a stopped run goes on."""
+"""The file of a campaign: one finished trial a line, so that a stopped run goes on.
 
+Every line ends in a digest of what is on it: what reads rows need not ask again what they hold.
+"""
+
+import hashlib
 import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -26,7 +30,7 @@ class Ledger:
         title: what the campaign's files are called.
 
     Raises:
-        DataError: the file belongs to a campaign with other settings, or is not one.
+        DataError: the file belongs to a campaign with other settings, is not one, or was changed.
     """
 
     def __init__(
@@ -38,7 +42,7 @@ class Ledger:
         fields: type | Callable[[dict], type] | None = None,
     ):
         self.path, self.keys, self.rows = path, tuple(keys), []
-        head = {"format": f"wrod-{title}-1", **settings}
+        head = {"format": f"wrod-{title}-2", **settings}
         self._head = head
         if path is None or not path.exists():  # it begins with the first trial
             return
@@ -52,7 +56,10 @@ class Ledger:
                 "--out or delete it"
             )
         for number, line in enumerate(whole[1:], start=2):
-            row, where = _line(line, f"{path}, line {number}", remedy), f"{path}, line {number}"
+            where = f"{path}, line {number}"
+            row = _line(line, where, remedy)
+            if row.pop("digest", None) != _digest(row):
+                raise DataError(f"{where}: is damaged; {remedy}")
             if fields is not None:
                 try:
                     msgspec.convert(row, fields if isinstance(fields, type) else fields(row))
@@ -78,19 +85,25 @@ class Ledger:
         if self.path is None:
             return
         if not self.path.exists():  # new, or removed meanwhile: what was finished is known here
-            lines = [self._head, *self.rows]
-            write_atomically(
-                self.path, lambda file: file.writelines(json.dumps(row) + "\n" for row in lines)
-            )
+            head, lines = json.dumps(self._head), map(_sealed, self.rows)
+            write_atomically(self.path, lambda file: file.writelines([f"{head}\n", *lines]))
             return
         with open(self.path, "a", encoding="utf-8") as file:
-            file.writelines(json.dumps(row) + "\n" for row in rows)
+            file.writelines(map(_sealed, rows))
         grown(self.path)
 
     def of(self, keys: Iterable[tuple]) -> list[dict]:
         """The rows of these trials, in the order in which the trials are given."""
         by_key = {self.key(row): row for row in self.rows}
         return [by_key[key] for key in keys if key in by_key]
+
+
+def _sealed(row: dict) -> str:
+    return json.dumps({**row, "digest": _digest(row)}) + "\n"
+
+
+def _digest(row: dict) -> str:
+    return hashlib.sha256(json.dumps(row).encode()).hexdigest()[:16]
 
 
 def _line(text: str, where: str, remedy: str) -> dict:

@@ -88,7 +88,6 @@ class StepRow(_Open, frozen=True):
 
     step: Name
     found: dict[str, Any]
-    digest: Name
 
 
 class LaidRow(_Open, frozen=True):

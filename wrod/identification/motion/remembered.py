@@ -46,12 +46,6 @@ class Remembered:
         self._ledger = Ledger(
             path, settings, ("step",), "identification-steps", row_schemas.StepRow
         )
-        for number, row in enumerate(self._ledger.rows, start=2):
-            if row["digest"] != _digest(row["step"], row["found"]):
-                raise DataError(
-                    f"{path}, line {number}: is damaged; delete that line, which is then computed "
-                    "again"
-                )
         self._known = {row["step"]: row["found"] for row in self._ledger.rows}
 
     def recall(self, key: list, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
@@ -59,14 +53,10 @@ class Remembered:
         step = hashlib.sha256(json.dumps(key).encode()).hexdigest()
         if step not in self._known:
             found = {k: np.asarray(v).tolist() for k, v in work().items()}
-            self._ledger.add([{"step": step, "found": found, "digest": _digest(step, found)}])
+            self._ledger.add([{"step": step, "found": found}])
             self._known[step] = found
         return {k: np.array(v) if isinstance(v, list) else v for k, v in self._known[step].items()}
 
     def forget(self) -> None:
         """Remove the file: all is done."""
         self._ledger.path.unlink(missing_ok=True)
-
-
-def _digest(step: str, found: dict) -> str:
-    return hashlib.sha256(json.dumps([step, found], sort_keys=True).encode()).hexdigest()[:16]
