@@ -33,7 +33,7 @@ from wrod.telling import json_option, tell
 )
 @click.option(
     "--damping",
-    type=click.FloatRange(0.0, 1.0),
+    type=float,
     help="Kelvin-Voigt time of the rods' material [s]; default: that of recorded cables.",
 )
 @click.option(

@@ -96,6 +96,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "bench newton --periods": (1e-2, 1e3),
     "bench identify --hidden": _SEED,
     "bench cables --folds": (2, 1_000),
+    "bench photographs --damping": (0.0, 1.0),
     "bench photographs --scenarios": (0, 1024),
     "bench hands --folds": (2, 100),
     "bench loop --curvature": (-200.0, 200.0),
