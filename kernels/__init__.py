@@ -15,6 +15,8 @@ def _start_quietly() -> None:
     kept = os.dup(2)
     if not os.environ.get("WARP_CACHE_PATH", "none"):
         del os.environ["WARP_CACHE_PATH"]  # Warp would take an empty one for the working folder
+    if not os.path.isabs(os.environ.get("XDG_CACHE_HOME", "/")):
+        del os.environ["XDG_CACHE_HOME"]  # as its specification asks of one that is relative
     try:
         with open(os.devnull, "wb") as nowhere:
             os.dup2(nowhere.fileno(), 2)

@@ -28,6 +28,16 @@ def test_synthetic_measurements_show_the_true_rod():
         clamped_experiment(stiff, believed, trials=3, test_trials=3)
 
 
+def test_edges_that_are_too_long_are_refused_before_the_work(tmp_path, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("measured first")
+
+    monkeypatch.setattr("wrod.bench.loop_run.clamped_experiment", never)
+    args = ["--out", str(tmp_path / "out"), "--effect", "stiffness", "--spacing", "0.5"]
+    refused("the longest that bends", "bench", "loop", *args)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     "controllers",
     [("default",), pytest.param(("network", "default"), marks=pytest.mark.slow)],

@@ -498,10 +498,11 @@ def test_what_a_killed_process_left_half_written_goes(tmp_path):
             process.wait()
 
 
-def test_an_empty_place_of_kernels_is_none(tmp_path):
-    """Warp would take an empty WARP_CACHE_PATH for the working folder."""
+@pytest.mark.parametrize("place", [{"WARP_CACHE_PATH": ""}, {"XDG_CACHE_HOME": "x"}], ids=str)
+def test_an_empty_or_relative_place_of_kernels_is_none(tmp_path, place):
+    """Warp would take it for the working folder, or one in it."""
     code = "import wrod.kernels, warp; print(warp.config.kernel_cache_dir)"
-    around = os.environ | {"WARP_CACHE_PATH": ""}
+    around = os.environ | place
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=around, check=True)
     assert list(tmp_path.iterdir()) == []
 

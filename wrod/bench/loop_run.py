@@ -18,7 +18,7 @@ from wrod.bench.loop_trials import (
     with_length,
 )
 from wrod.bench.table3_paper import PATTERNS, read_pattern
-from wrod.deployment.bounds import refuse_long_moves
+from wrod.deployment.bounds import refuse_coarse_edges, refuse_long_moves
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.simulate import simulate_deployments
 from wrod.files import write_text
@@ -91,6 +91,8 @@ def _settle(loop: Loop, curves: dict) -> None:
         known, cases, learning = identification_cost(loop.recording), 1, 0.0
         count, length = 2 * max(len(loop.names), 1), 2.0
     else:
+        softest = min(1.0, 1.0 + loop.lgb_error) * believed.gravito_bending_length
+        refuse_coarse_edges([replace(believed, gravito_bending_length=softest)], loop.spacing)
         cases = len(loop.effects or EFFECTS)
         known = cost.Cost(cost.IDENTIFIED_SET * cases)
         count, length = len(curves) * controllers * (1 + 2 * cases), believed.length
