@@ -31,7 +31,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "--chain-step": (1e-4, 0.02),
     "--every": (5e-3, 100.0),
     "--batch": (1, 100_000),
-    "--noise": (1e-9, 1.0),
+    "--noise": (1e-7, 1.0),
     "--iterations": (0, 100),
     "--seed": _SEED,
     "--seeds": (1, 10_000),
