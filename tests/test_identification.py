@@ -400,6 +400,7 @@ BAD = {
     "radius is 1.8 m; .*millimetres": lambda d: d["radius"].__imul__(1e3),
     "L_gb is 60 m": lambda d: d["L_gb"].__imul__(1e3),
     "noise_std 0.5 is over a tenth": lambda d: d["noise_std"].__imul__(1e3),
+    "noise_std 5e-10 is under a ten-millionth": lambda d: d["noise_std"].__imul__(1e-6),
     "not a rotation": lambda d: d["grip_rotation"].__setitem__((2, 0, 0), 2.0),
     "arc_length has shape": lambda d: d.__setitem__("arc_length", d["arc_length"][:-1]),
     "outside the free length": lambda d: d["arc_length"].__imul__(1e3),

@@ -10,14 +10,22 @@ from wrod.rods.material import RodMaterial
 
 # A measured shape further from its clamps than this many free lengths is not that rod in metres.
 _FAR = 0.5
+# Over the free length: nearer no shape is solved, and squares of what lies between an effect's size
+# and such a noise leave double precision.
+_LEAST_NOISE = 1e-7
 
 
 def check_rod(rod: RodMaterial, noise: float, where: str) -> None:
     """Radius, lengths and noise against each other: units.
 
     Raises:
-        DataError: one of them is not in metres.
+        DataError: one of them is not in metres, or the noise is less than any measurement's.
     """
+    if noise < _LEAST_NOISE * rod.length:
+        raise DataError(
+            f"{where}: noise_std {noise:g} is under a ten-millionth of the rod, which no "
+            "measurement tells; give the standard deviation of the markers in metres"
+        )
     if rod.radius > 0.1 * rod.length:
         raise DataError(
             f"{where}: radius {rod.radius:g} m is over a tenth of the free length "
