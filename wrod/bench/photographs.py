@@ -64,8 +64,8 @@ def command(
     the scenarios that pictures of other patterns choose, as far as such predictions gain, seen by
     the camera that those tell of, and judged after one rigid motion. With the scenarios found, the
     optimal path's deployment is predicted for every rod and pattern, and default plans made with
-    what was found are laid there. Finished deployments are kept in OUT/laid.jsonl: a run that was
-    stopped goes on from there.
+    what was found are laid there. Finished deployments are kept in OUT/laid.jsonl and plans in
+    OUT/plans.jsonl: a run that was stopped goes on from there.
     """
     from wrod.bench.photographs_deployments import Deployments
     from wrod.bench.photographs_judge import judge
@@ -126,8 +126,8 @@ def _add_predictions(figures: dict, out: Path, photographs, verdicts, laid, data
 
     figures["predictions"], files = write_predictions(out, photographs, verdicts, laid, data)
     figures["table3"] = table3(photographs, laid)
-    figures["plans"] = plans_in_scenarios_found(photographs, verdicts, laid)
     written = [*files, *draw(out, photographs, verdicts)]
     written += draw_lines(out, photographs, verdicts, laid)
     figures["waves"], files = waves(photographs, verdicts, laid, out)
+    figures["plans"] = plans_in_scenarios_found(photographs, verdicts, laid)  # the dearest
     return [*written, *files]

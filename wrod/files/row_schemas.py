@@ -99,6 +99,13 @@ class LaidRow(_Open, frozen=True):
     reached: bool
 
 
+class LaidPlanRow(_Open, frozen=True):
+    """A plan that `wrod bench photographs` made and laid; [cm], none where that failed."""
+
+    plan: Name
+    error_cm: float | None
+
+
 class CosseratRow(_Open, frozen=True):
     """A run of `wrod bench cosserat`."""
 
