@@ -77,7 +77,7 @@ def fit_models(
     starts: Sequence[np.ndarray],
     *,
     weights: np.ndarray | None = None,
-    origin: Fit | None = None,
+    origin: Fit | Sequence[Fit] | None = None,
     least_gain: float | Sequence[float] = 0.0,
     race: bool = True,
     rival: float = np.inf,
@@ -87,7 +87,8 @@ def fit_models(
     Args:
         models, starts: candidates and their first parameter vectors.
         weights: (candidate, trial) of 0 and 1: which of the train trials a candidate may see.
-        origin: a fit whose shapes to start from; by default those of the base model.
+        origin: a fit whose shapes to start from, or one for each candidate; by default those of
+            the base model.
         least_gain: a candidate stops at once where the linearised problem promises less; for all
             or for each.
         race: let a candidate stop early that is far behind the best one of its batch, or whose
@@ -109,31 +110,44 @@ def fit_models(
     slices = max(-(-len(still) // _BATCH), 1)
     groups = [g for g in (*(still[k::slices] for k in range(slices)), windy) if g]
     least_gains = np.broadcast_to(least_gain, len(models))
-    state = tuple(a[trials] for a in laboratory.base_state)
-    if origin is not None:
-        # A fit may have come past a fold that a path from the base model does not get past.
-        with suppress(DataError):
-            state = laboratory.solver_at(origin.model, origin.values, trials)[0].saved()
+    if isinstance(origin, Sequence):
+        states = [_state_of(laboratory, one, trials) for one in origin]
+    else:
+        states = [_state_of(laboratory, origin, trials)] * len(models)
 
     def run(group, rival=rival):
         own = ([models[c] for c in group], [starts[c] for c in group])
-        best, least = _Best(race, rival), least_gains[group]
-        iteration = _Iteration(laboratory, *own, trials, weights[group], best, state, least)
-        return iteration.run()
+        begin, least = [states[c] for c in group], least_gains[group]
+        iteration = _Iteration(
+            laboratory, *own, trials, weights[group], _Best(race, rival), begin, least
+        )
+        return list(zip(iteration.run(), iteration.states, strict=True))
 
-    fits: dict[int, Fit] = {}
+    fits: dict[int, tuple[Fit, tuple[np.ndarray, ...]]] = {}
     with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
         for group, results in zip(groups, pool.map(run, groups), strict=True):
             fits |= dict(zip(group, results, strict=True))
     if wide:
         # The narrow ones are done: theirs is the mark to beat.
-        mark = min([rival, *(f.chi_squared for f in fits.values())])
+        mark = min([rival, *(f.chi_squared for f, _ in fits.values())])
         fits |= dict(zip(wide, run(wide, mark), strict=True))
-    found = [fits[c] for c in range(len(models))]
+    found = [fits[c][0] for c in range(len(models))]
+    for fit, own in fits.values() if every else ():
+        if np.isfinite(fit.chi_squared):
+            laboratory.remember(fit.model, fit.values, trials, own)
     if every:
         laboratory.clock.fits += [f for f in found if np.isfinite(f.chi_squared)]
     laboratory.clock.check()
     return found
+
+
+def _state_of(laboratory: Laboratory, origin: Fit | None, trials) -> tuple[np.ndarray, ...]:
+    """Shapes to start from: those of a fit, if there are any, else the base model's."""
+    if origin is not None:
+        # A fit may have come past a fold that a path from the base model does not get past.
+        with suppress(DataError):
+            return laboratory.solver_at(origin.model, origin.values, trials)[0].saved()
+    return tuple(a[trials] for a in laboratory.base_state)
 
 
 class _Best:
@@ -154,7 +168,9 @@ class _Best:
 class _Iteration:
     """Levenberg-Marquardt of one batch of candidates; each has its own damping."""
 
-    def __init__(self, laboratory: Laboratory, models, starts, trials, weights, best, state, least):
+    def __init__(
+        self, laboratory: Laboratory, models, starts, trials, weights, best, states, least
+    ):
         self.laboratory, self.models, self.trials = laboratory, list(models), trials
         self.weights, self.best = weights, best
         self.base = ClampedSetup.base(laboratory.measurements, trials, laboratory.edge_count)
@@ -165,7 +181,7 @@ class _Iteration:
         self.coordinates = laboratory.measurements.centerline[0].size
         self.correction = laboratory.mesh_correction[trials]
         self.readings = laboratory.effective[trials]
-        self.start, self.least_gain = state, least
+        self.states, self.least_gain = list(states), least
 
     def run(self) -> list[Fit]:
         count = len(self.models)
@@ -178,8 +194,7 @@ class _Iteration:
         normal: list[tuple[np.ndarray, np.ndarray] | None] = [None] * count
         moves: list[np.ndarray | None] = [None] * count
         promised = np.full(count, np.inf)
-        states = [self.start] * count
-        solver = None
+        states, solver = self.states, None
         for _ in range(_MAX_ITERATIONS):
             if not active or self.laboratory.clock.over:
                 break
@@ -238,7 +253,7 @@ class _Iteration:
 
     def _solver(self, active, states) -> ClampedSolver:
         stacked = tuple(
-            np.concatenate([states[c][i] for c in active]) for i in range(len(self.start))
+            np.concatenate([states[c][i] for c in active]) for i in range(len(states[0]))
         )
         return ClampedSolver(
             [self.base] * len(active), device=self.laboratory.device, start=stacked
@@ -246,7 +261,7 @@ class _Iteration:
 
     def _put_back(self, solver, active, states) -> None:
         solver.restore(
-            tuple(np.concatenate([states[c][i] for c in active]) for i in range(len(self.start)))
+            tuple(np.concatenate([states[c][i] for c in active]) for i in range(len(states[0])))
         )
 
     def _residual(self, c, k, values, setup, readings) -> np.ndarray:

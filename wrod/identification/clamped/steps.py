@@ -247,7 +247,7 @@ def _past_folds(laboratory, fits: list[Fit]) -> list[Fit]:
     back, where the others' squares would fall all the way. Most of all squares are that trial's, so
     fits are ranked by the others' (least trimmed squares, Rousseeuw 1984).
     """
-    trials, found, held = laboratory.measurements.train, list(fits), []
+    trials, held, noise = laboratory.measurements.train, [], 0.0
     for fit in best_of_each([f for f in fits if not has_profile(f.model)]):
         noise = fit.residual_count + FLUCTUATION * np.sqrt(2.0 * fit.residual_count)
         if fit.chi_squared < noise:
@@ -257,18 +257,19 @@ def _past_folds(laboratory, fits: list[Fit]) -> list[Fit]:
             stays = misfit < _OUTWEIGHS * np.median(misfit)
             if not stays.all() and stays.mean() >= _MOST:
                 trimmed = np.sort(misfit)[: int(np.ceil(_MOST * len(misfit)))].sum()
-                held.append((float(trimmed), noise, fit, stays))
-    for _, noise, fit, stays in sorted(held, key=lambda h: h[0])[:_AGAIN]:
-        with suppress(DataError):
-            own = fit
-            for weighed in (stays[None].astype(float), None):
-                own = fit_models(
-                    laboratory, [fit.model], [own.values], weights=weighed, origin=own, race=False
-                )[0]
-            # What does not come to the noise may only have come to another fold.
-            if own.chi_squared < noise:
-                found.append(own)
-    return found
+                held.append((float(trimmed), fit, stays))
+    again = [(fit, stays) for _, fit, stays in sorted(held, key=lambda h: h[0])[:_AGAIN]]
+    if not again:
+        return fits
+    own, stay = [fit for fit, _ in again], np.array([stays for _, stays in again], dtype=float)
+    for weights in (stay, None):
+        own = fit_models(
+            laboratory, [f.model for f in own], [f.values for f in own],
+            weights=weights, origin=own, race=False,
+        )  # fmt: skip
+        own = [f for f in own if np.isfinite(f.chi_squared)]
+    # What does not come to the noise may only have come to another fold.
+    return fits + [f for f in own if f.chi_squared < noise]
 
 
 def held_out_error(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
