@@ -14,6 +14,7 @@ from wrod.training.dataset import generate, load
 from wrod.training.sampling import RodInputs, sample
 
 import wrod
+from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError, GraspError, RodError, WrodWarning
 from wrod.grasps.optimal import solve_grasps
@@ -206,6 +207,24 @@ def test_knowing_the_curvature_lays_the_rod_better(plans):
     assert up.error_mean < 0.5 * unknown.error_mean
 
 
+def test_a_strongly_bent_rod_is_tilted_and_not_laid_in_waves():
+    """In the plane its way on the table departs from the line, and ever faster: 3 mm at 9 /m."""
+    line = wrod.pattern("line")
+    right = wrod.Pattern.from_points(np.array([[0.0, 0.0], [0.3, 0.0], [0.5, -0.1], [0.6, -0.3]]))
+    bent = replace(wrod.rod("green-vps"), natural_curvature=(0.0, 9.0))
+    up, across = 9.0 * np.sin(np.radians(30.0)), 9.0 * np.cos(np.radians(30.0))
+    assert bent.curvature_held(roll_angle(None, line, bent)) == pytest.approx((across, up))
+    assert bent.curvature_held(roll_angle(None, right, bent)) == pytest.approx((-across, up))
+    for other, known in ((CURVED, False), (bent, True)):
+        assert roll_angle(None, line, other, known) == roll_angle("plane", line, other)
+    mesh = Discretisation(spacing=0.01, step=0.02)
+    paths = [wrod.plan(line, bent, roll=r, device="cpu", remainder=False) for r in (None, "plane")]
+    trials = [Trial(line, bent, path, wrod.Friction(1.0)) for path in paths]
+    tilted, plane = simulate_deployments(trials, discretisation=mesh, speed=0.05)
+    assert tilted.error_mean < 1e-3
+    assert plane.error_mean > 2.5e-3
+
+
 def test_deployment_bends_the_rod_the_way_that_it_is_held(plans):
     """Held upside down, the same rod drifts to the other side."""
     pattern, _, old = plans
@@ -296,7 +315,7 @@ def test_dataset_command_takes_a_model(tmp_path):
     assert turned == pytest.approx([0.0, 0.09])
     refused("name it with --rod", "dataset", "--size", "4", "--roll", "0", "--out", args[-1])
     for roll in ("nan", "left"):
-        refused("use plane, up or", *args, "--roll", roll)
+        refused("use plane, tilted, up or", *args, "--roll", roll)
 
 
 def test_training_refuses_one_straight_rod(tmp_path):

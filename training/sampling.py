@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from wrod.errors import DataError, RodError, WrodWarning
+from wrod.planning.roll import TILT
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
@@ -59,8 +60,8 @@ class RodInputs:
 
     @classmethod
     def of(cls, rod: RodModel | RodMaterial, roll: float | str = "plane") -> RodInputs:
-        """A rod laid with this roll of its first director from left to up [rad]; "plane" and "up"
-        turn its natural curvature to the left or upwards.
+        """A rod laid with this roll of its first director from left to up [rad]; "plane", "up" and
+        "tilted" turn its natural curvature to the left, upwards, or 30 degrees up from the left.
 
         Raises:
             RodError: its grasps depend on more than these inputs.
@@ -81,8 +82,11 @@ class RodInputs:
         else:
             stretch_ratio = rod.stretch_ratio
         lgb, size = rod.gravito_bending_length, math.hypot(*rod.natural_curvature)
-        words = {"up": (0.0, size), "plane": (size, 0.0)}
-        held = words[roll] if isinstance(roll, str) else rod.curvature_held(roll)
+        raised = {"up": 0.5 * math.pi, "plane": 0.0, "tilted": TILT}  # [rad]
+        if isinstance(roll, str):
+            held = size * math.cos(raised[roll]), size * math.sin(raised[roll])
+        else:
+            held = rod.curvature_held(roll)
         own = (float(lgb * held[0]), float(lgb * held[1]))
         return cls(rod.length / lgb, stretch_ratio, own, rod.poisson)
 

@@ -57,6 +57,7 @@ def command(
     if sensitivities and closure != "zero_tension":
         refuse_idle_options(f"--closure {closure}", "sensitivities")
     rod = rod_options.read() if rod_options.given else None
+    roll = read_roll(roll_text, rod)
     rank = Rank.from_environment()
     label = "grasps" if rank.count == 1 else f"grasps of rank {rank.index}"
     shard_size = shard_size or SHARD_SIZE
@@ -72,8 +73,8 @@ def command(
     ) as bar:
         outcome = generate(
             out, size, seed=seed, closure=closure, sensitivities=sensitivities,
-            shard_size=shard_size, rod=rod, roll=read_roll(roll_text, rod),
-            device=device, rank=rank, progress=cost.counting(bar),
+            shard_size=shard_size, rod=rod, device=device, rank=rank,
+            roll="plane" if roll is None else roll, progress=cost.counting(bar),
         )  # fmt: skip
     figures = {
         "samples": outcome.samples,

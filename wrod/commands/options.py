@@ -16,8 +16,9 @@ CLOSURE = click.option(
 )
 DEVICE = click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 ROLL = (
-    "How a naturally curved rod is held: plane (curved in the table's plane; default), up (curved "
-    "upwards), or the roll of its first director from left to up [degrees]."
+    "How a naturally curved rod is held: plane (curved in the table's plane), up (curved upwards), "
+    "tilted (30 degrees up from the plane), or the roll of its first director from left to up "
+    "[degrees]. Default: plane; plans tilt what bends by more than 0.2 / L_gb."
 )
 # Of `PatternOptions`.
 UNITS, DRAWING, SCALE = ("units",), ("layer", "stroke"), ("markers", "sheet", "scale", "camera")

@@ -32,7 +32,7 @@ DISTILLED = "distilled"
 @arguments.checked(
     GraspError,
     remainder=arguments.either(arguments.flag, arguments.number(0.0, 100.0)),
-    roll=arguments.either(arguments.text, arguments.number(-1e6, 1e6)),
+    roll=arguments.optional(arguments.either(arguments.text, arguments.number(-1e6, 1e6))),
     spin=arguments.number(-100.0, 100.0),
     controller=arguments.like("a wrod.Controller", "predict", "out_of_range"),
     friction=arguments.optional(
@@ -48,7 +48,7 @@ def plan(
     closure: str | None = None,
     spacing: float = 0.0025,
     remainder: bool | float | None = None,
-    roll: float | str = "plane",
+    roll: float | str | None = None,
     spin: float = 0.0,
     controller: Controller | None = None,
     friction: float | tuple[float, float] | None = None,
@@ -77,8 +77,8 @@ def plan(
             with `friction` the length of two that is expected better; True, False, or a length [m].
         roll: how the rod is put into the grip: the laid rod's first material director is turned
             by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
-            into the table's plane to the side to which the pattern turns in all, or upwards. In
-            the plane the twist changes least; up, less is pushed aside (docs/loop.md).
+            into the table's plane to the side to which the pattern turns in all, or upwards; None
+            is "plane", and above 0.2 / L_gb "tilted", 30 degrees up from there (docs/loop.md).
         spin: by how much the hand turns besides about a rod without sides, which twists it [rad].
             With `friction`, grasps know the twist as far as the table is expected to hold it.
         controller: what "neural" and "auto" ask; None is the one that ships, for straight rods.

@@ -52,7 +52,7 @@ def plan_grasps(
     closure: str | None,
     spacing: float,
     remainder: bool | float | None,
-    roll: float | str,
+    roll: float | str | None,
     controller: Controller | None,
     device: str | None,
     progress: Callable[[int, int], object] | None,
@@ -78,7 +78,7 @@ def plan_grasps(
         refuse_unsolved_bends(pattern, rod, s, curvature)
     if method not in ("intuitive", "neural"):  # a controller goes on beyond, with a warning
         refuse_unsolved_length(pattern, rod)
-    roll = roll_angle(roll, pattern, rod)
+    roll = roll_angle(roll, pattern, rod, controller is not None)
     inputs = GraspInputs.of(
         rod, rod.length - (s - s[0]), curvature,
         roll=roll, closure=closure, device=device, progress=progress, controller=controller,

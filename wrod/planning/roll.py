@@ -11,47 +11,65 @@ from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
+WORDS = ("plane", "tilted", "up")
+# In the plane a rod that is bent by more than this at rest [1/L_gb] is laid in waves that grow;
+# raised by so much [rad] it is not (docs/loop.md).
+_STRONGLY, TILT = 0.2, float(np.radians(30.0))
 
-def roll_angle(roll: float | str, pattern: Pattern, rod: RodModel | RodMaterial) -> float:
-    """The roll [rad] that `plan`'s words "up" and "plane" mean. A rod that is straight at rest gets
-    the softer of its principal directions upwards, or 0 where it has none.
+
+def roll_angle(
+    roll: float | str | None, pattern: Pattern, rod: RodModel | RodMaterial, known: bool = False
+) -> float:
+    """The roll [rad] that `plan`'s words mean, None being "tilted" for rods that are strongly bent
+    at rest and "plane" for others. A rod that is straight at rest gets the softer of its principal
+    directions upwards, or 0 where it has none.
+
+    Args:
+        known: whether a controller is to be asked, which was made for rods in the plane.
 
     Raises:
         GraspError: the roll is neither these nor a finite number.
     """
-    if roll not in ("up", "plane"):
+    if roll is not None and roll not in WORDS:
         if isinstance(roll, str) or not np.isfinite(roll):
-            raise GraspError(f"roll is {roll!r}; give a finite angle in radians, 'plane' or 'up'")
+            said = "'plane', 'tilted' or 'up'"
+            raise GraspError(f"roll is {roll!r}; give a finite angle in radians, {said}")
         return float(roll)
     if rod.is_straight:
         return _softer_upwards(rod)
-    left = -float(np.arctan2(*rod.curvature_held(0.0)[::-1]))
+    across, upwards = rod.curvature_held(0.0)
+    left = -float(np.arctan2(upwards, across))
     if roll == "up":
         return left + 0.5 * np.pi
+    bent = float(np.hypot(across, upwards)) * rod.gravito_bending_length
+    raised = roll == "tilted" or (roll is None and bent > _STRONGLY and not known)
+    tilt = TILT if raised else 0.0
     s = np.linspace(-pattern.remainder_length, pattern.length, 1000)
     turning = float(np.mean(pattern.sample(s)[2])) * (s[-1] - s[0])
     # A pattern that turns by nothing but rounding has no side.
-    return left + np.pi if turning < -1e-3 else left
+    return left + np.pi - tilt if turning < -1e-3 else left + tilt
 
 
-def read_roll(text: str | None, rod) -> float | str:
+def read_roll(text: str | None, rod) -> float | str | None:
     """What `plan` takes as roll for what a command's --roll says of this rod.
 
     Raises:
         RodError: it is none, or there is no rod.
     """
     if text is None:
-        return "plane"
+        return None
     if rod is None:
         raise RodError("--roll belongs to one rod; name it with --rod")
-    if text in ("plane", "up"):
+    if text in WORDS:
         return text
     try:
         roll = float(np.radians(float(text)))
     except ValueError:
         roll = float("nan")
     if not np.isfinite(roll):
-        raise RodError(f"--roll {text} is no roll; use plane, up or a finite number of degrees")
+        raise RodError(
+            f"--roll {text} is no roll; use plane, tilted, up or a finite number of degrees"
+        )
     return roll
 
 
