@@ -53,7 +53,7 @@ class Loop:
     rolling: bool = option("Let the laid rod roll freely.")
     roll_text: str = option(
         "How all plans hold the rod: plane, as one would by accident who knows of no curvature, "
-        "up, or degrees (see `wrod plan`).",
+        "up, tilted, or degrees (see `wrod plan`).",
         "--roll",
         default="plane",
     )

@@ -107,8 +107,10 @@ def fit_models(
     windy = [c for c, m in enumerate(models) if any(e.follows_shape for e in m.effects)]
     wide = [c for c, v in enumerate(starts) if len(v) > WIDE and c not in windy]
     still = [c for c in range(len(models)) if c not in windy and c not in wide]
-    slices = max(-(-len(still) // _BATCH), 1)
-    groups = [g for g in (*(still[k::slices] for k in range(slices)), windy) if g]
+    # All rods of a batch get as many derivatives as its widest candidate has.
+    still.sort(key=lambda c: len(starts[c]))
+    each = -(-len(still) // max(-(-len(still) // _BATCH), 1))
+    groups = [still[k : k + each] for k in range(0, len(still), each or 1)] + [windy] * bool(windy)
     least_gains = np.broadcast_to(least_gain, len(models))
     if isinstance(origin, Sequence):
         states = [_state_of(laboratory, one, trials) for one in origin]

@@ -72,7 +72,7 @@ class Sensitivity:
             wind = np.repeat([s.wind for s in setups], self.trial_count, axis=0)
             wind_rate.append(np.imag(wind) / COMPLEX_STEP)
         wind = np.repeat(np.real([s.wind for s in rates[0]]), self.trial_count, axis=0)
-        product = self._times_hessian(step)
+        product = self._times_hessian(step) if step.any() else step
         free_step = np.zeros_like(step)
         load_rate = np.zeros_like(step)
         windy = bool(np.any(wind) or np.any(wind_rate))
