@@ -257,6 +257,10 @@ def test_what_lies_beside_is_made_up_for_by_several_steps(bend):
     # Nothing of what is gone is changed, and the grip goes on without a step.
     ahead = way.laid > 0.12
     assert not moved[~ahead].any() and 0.0 < np.abs(moved[ahead][0]).max() < 5e-4
+    # A centimetre on, it is where a path that may begin anywhere is: nothing of that is held back.
+    c = way.corrections(pattern, ROD.gravito_bending_length, 0.12, 0.3, 0.01)
+    assert c.basis[way.laid > 0.13].sum(axis=1) == pytest.approx(1.0, abs=1e-12)
+    assert not c.basis[way.laid <= 0.12].any()
 
 
 def test_a_path_is_kept_that_others_as_likely_are_laid_better_by(bend):

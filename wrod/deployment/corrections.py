@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import BSpline
 
+from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 
@@ -17,7 +18,8 @@ _KNOTS = 1.0
 class Corrections:
     """Smooth displacements of a trajectory's positions: cubic splines over the laid length from
     `first` to `last` [m], constant beyond, in the frame of the contact (forward, left, up) and in
-    L_gb. `laid` is the laid length at each pose where it is not the trajectory's arc length."""
+    L_gb. `laid` is the laid length at each pose where it is not the trajectory's arc length. Over
+    the length `rise` [m] from `first` on they come up from nothing, if that is not 0."""
 
     def __init__(
         self,
@@ -27,6 +29,7 @@ class Corrections:
         first: float,
         laid: np.ndarray | None = None,
         last: float = np.inf,
+        rise: float = 0.0,
     ):
         s = trajectory.arc_length
         last = min(last, float(s[-1]))
@@ -39,6 +42,8 @@ class Corrections:
         inner = np.linspace(first, last, pieces + 1)
         knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
         self.basis = BSpline.design_matrix(np.clip(s, first, last), knots, 3).toarray()
+        if rise > 0.0:
+            self.basis *= smoothstep((s - first) / rise)[:, None]
         self.count, self.lgb, self.trajectory = self.basis.shape[1], lgb, trajectory
 
     def displacement(self, values: np.ndarray) -> np.ndarray:

@@ -28,9 +28,10 @@ _STEPS, _DONE, _FELT = 10, 0.05, 1e-4
 # Damping of a step, relative to errors of 1 L_gb, that is tried first where it would be too large.
 _DAMPING = 1e-6
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
-HORIZON = 10.0
-# Of a spline that begins at the contact, so many first coefficients are its value and slope there.
-_FIXED = 2
+HORIZON = 6.0
+# Over so much of the way the grip goes to where it is to be after a look [m]: were it to leave its
+# path without a kink, the rod would be laid wrong for the next 5 L_gb where it slides.
+_RISE = 0.01
 # What lies is laid anew where it errs by more than this on average over so much rod before the
 # contact, from where it begins to err by a share of that on, and from that much before, so that the
 # grip is where it belongs when the contact comes there [m]; if the mean error of all is less by so
@@ -116,29 +117,27 @@ class Moment:
         self, way: Way, turn: float, anew: bool = False
     ) -> Course[tuple[np.ndarray, np.ndarray, _Candidate, _Candidate]]:
         """(50,) error that is expected along the pattern before and after [m]; and the way before
-        and after it is corrected from now on, at first without a step or a kink, which lays rod
-        from `turn` on; or all of it `anew`. What lies near or beyond there comes to lie `aside` of
-        what is believed."""
+        and after it is corrected from now on, which lays rod from `turn` on; or all of it `anew`.
+        What lies near or beyond there comes to lie `aside` of what is believed."""
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         lgb = beliefs.rod.gravito_bending_length
         last, s = turn + self.horizon * lgb, way.laid_at(turn)
-        c = way.corrections(pattern, lgb, turn if anew else self.gone, last)
-        fixed = 0 if anew else 3 * _FIXED
+        first, rise = (turn, 0.0) if anew else (self.gone, _RISE)
+        c = way.corrections(pattern, lgb, first, last, rise)
         near = way.until(last).laid
-        columns = Directions.of_path(c.columns()[fixed:, : len(near)])
+        columns = Directions.of_path(c.columns()[:, : len(near)])
         along = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
         there = np.tile(along <= near[-1], 2)
         beyond = np.outer(self.aside, along > s - _LOOKED_AT).ravel()
         # What a value of 1 shifts and turns of what is begun anew.
         rigid = lgb * np.array([1.0, 1.0, 1.0 / last])[: 3 if anew else 0]
-        cost = c.cost(_SIZE, _ROUGHNESS)[fixed:, fixed:]
+        cost = c.cost(_SIZE, _ROUGHNESS)
         cost = METRIC_POINTS * lgb**2 * block_diag(cost, _SIZE * np.eye(len(rigid)))
 
         def moved(values: np.ndarray) -> tuple[Way, np.ndarray]:
             placed = beliefs.placed.copy()
             placed[: len(rigid)] += rigid * values[len(columns) :]
-            values = np.concatenate([np.zeros(fixed), values[: len(columns)]])
-            return Way(c.apply(values), way.laid), placed
+            return Way(c.apply(values[: len(columns)]), way.laid), placed
 
         def at(values: np.ndarray) -> Course[_Point]:
             ahead, placed = moved(values)

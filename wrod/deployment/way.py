@@ -48,9 +48,11 @@ class Way:
         """Laid length [m] where so much of the way is gone."""
         return float(np.interp(gone, self.path.arc_length, self.laid))
 
-    def corrections(self, pattern: Pattern, lgb: float, first: float, last: float) -> Corrections:
+    def corrections(
+        self, pattern: Pattern, lgb: float, first: float, last: float, rise: float = 0.0
+    ) -> Corrections:
         """Of the poses beyond `first`, the same for all beyond `last` [m of the way]."""
-        return Corrections(pattern, self.path, lgb, first, self.laid, last)
+        return Corrections(pattern, self.path, lgb, first, self.laid, last, rise)
 
     def back(self, gone: float, to: float) -> tuple[Way, float]:
         """From where `gone` [m] is gone back until `to` [m] is laid, and on from there as the way
