@@ -63,7 +63,7 @@ class _Asked:
 
 @click.command(name="table3")
 @gathered("asked", _Asked)
-@gathered("common", campaign.Common, speed=0.02, step=0.01, spacing=0.005)
+@gathered("common", campaign.Common, speed=0.02, step=0.02, spacing=0.005)
 @json_option
 @cost.force_option
 def command(asked: _Asked, common: campaign.Common) -> None:
