@@ -8,7 +8,7 @@ from cli import told
 from click.testing import CliRunner
 from forked import full_disk
 
-from wrod.bench import table3_paper
+from wrod.bench import courses, table3_paper
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
 from wrod.bench.table3_report import KEYS, cells, markdown, summary
 from wrod.commands import main
@@ -117,6 +117,24 @@ def test_part_of_a_campaign_is_written_and_resumed(tmp_path, monkeypatch):
     }
     _full(args, tmp_path, table)
     _vanished(args, tmp_path, table, monkeypatch)
+
+
+def test_plans_that_know_their_table_know_the_pace_too(tmp_path, monkeypatch):
+    """What they are optimised for is how they are laid."""
+    asked = []
+
+    def run(course, jobs, done, **_):
+        for job in jobs:
+            asked.append(next(course(*job)))
+            done(job, job[3])
+
+    monkeypatch.setattr(courses, "run", run)
+    args = ["bench", "table3", "--out", str(tmp_path), "--trials", "1", "--device", "cpu"]
+    args += ["--speed", "0.2", "--step", "0.1", "--spacing", "0.04", "--json", "--known-table"]
+    told(*args, "--rod", "pink-vps", "--pattern", "line")
+    least = [one.trials[0].friction.static for one in asked]
+    assert least == pytest.approx([0.95 * mu for mu in (0.3, 0.6, 1.0)])
+    assert {one.how["speed"] for one in asked} == {0.2}
 
 
 def _full(args, done, table):

@@ -95,7 +95,9 @@ def command(asked: _Asked, common: campaign.Common) -> None:
     compiled = time.perf_counter() - start
     plans = _plans(rods, curves, asked.closure, device)
     if asked.known_table:
-        plans |= _corrected_plans(plans, substrates, out / "plans", device, asked.workers)
+        plans |= _corrected_plans(
+            plans, substrates, out / "plans", common.speed, device, asked.workers
+        )
     first = [_trial(key, plans) for key in keys[: len(keys) // asked.trials]]
     nodes = nodes_needed(first, common.spacing)
     planned = time.perf_counter() - start - compiled
@@ -161,8 +163,11 @@ def _plans(rods, curves: dict, closure: str | None, device: str) -> dict:
     return plans
 
 
-def _corrected_plans(plans: dict, substrates, folder: Path, device: str, workers: int) -> dict:
-    """(rod, substrate, pattern, "numeric") -> the same as `_plans`, corrected for the table."""
+def _corrected_plans(
+    plans: dict, substrates, folder: Path, pace: float, device: str, workers: int
+) -> dict:
+    """(rod, substrate, pattern, "numeric") -> the same as `_plans`, corrected for the table and the
+    pace [m/s] at which they are laid."""
     from wrod.bench.table3_paper import friction
     from wrod.planning.tail import tail
     from wrod.planning.trajectory import Trajectory
@@ -173,7 +178,7 @@ def _corrected_plans(plans: dict, substrates, folder: Path, device: str, workers
         led, material, trajectory, _ = plans[key]
         path = paths[name, substrate, curve, method] = folder / f"{name}-{substrate}-{curve}.npz"
         if not path.exists():
-            jobs.append((path, led, material, trajectory, friction(name, substrate)))
+            jobs.append((path, led, material, trajectory, friction(name, substrate), None, pace))
     with cost.progress_bar(total=len(jobs), desc="corrections") as bar:
 
         def save(job: tuple, best: Trajectory) -> None:
