@@ -1,6 +1,7 @@
 """`wrod bench cosserat`: other people's experiments on rods, beside other people's solvers."""
 
 import json
+import time
 from importlib import import_module
 from importlib.util import find_spec
 from itertools import product
@@ -43,7 +44,7 @@ def command(chosen, solvers, elements, out, others) -> None:
     """Experiments of cosseratbench: error and time, side by side.
 
     Each is scored by cosseratbench's own metrics, in one run on one machine; times are
-    wall times, after a warm-up, without compiling.
+    of a processor, after a warm-up, without compiling.
     """
     from wrod.machine import machine_line
 
@@ -125,6 +126,23 @@ def _adapter(name: str, registry):
     return registry.load_solver(name)
 
 
+class _Timed:
+    """An adapter, and what its last run took of a processor [s], whatever else is running."""
+
+    def __init__(self, adapter):
+        self._adapter, self.seconds = adapter, 0.0
+
+    def __getattr__(self, name: str):
+        return getattr(self._adapter, name)
+
+    def run(self, *given, **options):
+        start = time.process_time()
+        try:
+            return self._adapter.run(*given, **options)
+        finally:
+            self.seconds = time.process_time() - start
+
+
 def _run(name: str, solver: str, elements: int | None) -> dict:
     from cosseratbench import registry
     from cosseratbench.experiment import run
@@ -137,7 +155,7 @@ def _run(name: str, solver: str, elements: int | None) -> dict:
         "seconds": 0.0,
     }
     try:
-        adapter = _adapter(solver, registry)
+        adapter = _Timed(_adapter(solver, registry))
     except (ImportError, KeyError, RodError) as error:
         return {**row, "outcome": "not installed", "said": f"not installed ({error})"}
     try:
@@ -150,7 +168,7 @@ def _run(name: str, solver: str, elements: int | None) -> dict:
             raise
         # A peer's adapter that does not fit the version of its library, for one.
         return {**row, "outcome": "crashed", "said": f"its adapter crashed ({what:.80})"}
-    row |= {"seconds": summary.get("wall_time") or 0.0, "outcome": summary["outcome"]}
+    row |= {"seconds": adapter.seconds, "outcome": summary["outcome"]}
     row["simulated"] = experiment.build(**experiment.values()).duration
     metrics = summary.get("metrics") or {}
     overlap = (summary.get("observations") or {}).get("max_rod_overlap")

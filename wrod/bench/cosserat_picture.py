@@ -33,7 +33,7 @@ def draw(path: str | os.PathLike[str], rows: list[dict], metrics: dict, machine:
         axes = figure.add_subplot(-(-len(names) // across), across, k + 1)
         absent = _panel(axes, [row for row in rows if row["experiment"] == name], metrics[name])
         axes.set_title(f"{name}: {metrics[name].replace('_', ' ')}", fontsize=10, color=_INK)
-        label = "\n".join(["time per simulated second [s]", *absent])
+        label = "\n".join(["processor time per simulated second [s]", *absent])
         axes.set_xlabel(label, fontsize=7.5, color=_MUTED)
         axes.tick_params(labelsize=8, colors=_MUTED)
         axes.grid(True, which="major", color=_FAINT)
