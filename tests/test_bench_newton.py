@@ -48,6 +48,8 @@ def test_many_worlds():
     rows = list(worlds_of_cables("cpu", 2, 10, 0.25))
     assert [row["steps_per_second"] for row in rows] == [60, 120]
     assert all(0.0 < row["tip_error_over_length"] < 0.02 for row in rows)
+    rows = list(worlds_of_cables("cpu", 2, 10, 0.25, armed=True))
+    assert all(0.0 < row["tip_error_over_length"] < 0.02 for row in rows)
     (row,) = graph_of_a_step("cpu", 2, 10, 10)
     assert row["largest_difference_m"] == 0.0
     (row,) = gradients_of_steps("cpu", 2, 10, 10)

@@ -4,125 +4,15 @@ import time
 from collections.abc import Iterator
 from functools import cache, partial
 
-import newton
 import numpy as np
 import warp as wp
 
-from wrod.bench.cantilever import Cantilever, Start
-from wrod.bench.cantilever_solvers import Vbd
+from wrod.bench.newton_armed import ArmedDer, ArmedVbd
+from wrod.bench.newton_held import CABLE, HeldDer, HeldVbd
 from wrod.bench.newton_piles import piles
-from wrod.newton_solver import SolverDER
-from wrod.rods.material import RodMaterial
 
-# A soft cable of the size that Newton's examples have, hung from a hand that goes to and fro.
-CABLE = RodMaterial.from_youngs_modulus(5e6, radius=0.005, length=0.8, density=1150.0)
-_AMPLITUDE, _RATE = 0.05, 2.0 * np.pi  # of the hand [m], [rad/s]
 _WARM_UP = 4  # steps that compile and record
 _VBD_WORLDS = 64  # at most: Newton's builder takes its time
-
-
-@wp.kernel
-def move_hands(
-    # Model:
-    step: wp.float64,
-    amplitude: wp.float64,
-    rate: wp.float64,
-    stride: int,
-    start: wp.array[wp.transform],
-    # State in and out:
-    time: wp.array[wp.float64],
-    # State out:
-    body_q: wp.array[wp.transform],
-):
-    """Put every world's first body to where it is at the end of the step."""
-    w = wp.tid()
-    time[w] = time[w] + step
-    way = amplitude * (wp.float64(1.0) - wp.cos(rate * time[w]))
-    pose = start[stride * w]
-    offset = wp.vec3(0.0, 0.0, wp.float32(way))
-    body_q[stride * w] = wp.transform(
-        wp.transform_get_translation(pose) + offset, wp.transform_get_rotation(pose)
-    )
-
-
-class _Hands:
-    """What moves the first body of every world, of which each has `stride` bodies."""
-
-    def __init__(self, model, worlds: int, dt: float):
-        self._start, self._worlds, self._dt = wp.clone(model.body_q), worlds, dt
-        self._stride = model.body_count // worlds
-        self._time = wp.zeros(worlds, dtype=wp.float64, device=model.device)
-
-    def move(self, state) -> None:
-        wp.launch(
-            move_hands,
-            self._worlds,
-            [wp.float64(self._dt), wp.float64(_AMPLITUDE), wp.float64(_RATE), self._stride]
-            + [self._start, self._time],
-            [state.body_q],
-            device=self._start.device,
-        )
-
-
-class HeldDer:
-    """Worlds of one cable that hangs along x, its upper end clamped by a kinematic body."""
-
-    def __init__(
-        self, worlds: int, edges: int, dt: float, device: str, requires_grad: bool = False
-    ):
-        x = np.linspace(0.0, CABLE.length, edges + 1)
-        world = newton.ModelBuilder(gravity=(CABLE.gravity, 0.0, 0.0))
-        SolverDER.register_custom_attributes(world)
-        hand = world.add_body(is_kinematic=True)
-        SolverDER.add_rod(
-            world, np.column_stack([x, 0 * x, 0 * x]), CABLE, start="clamped", start_body=hand,
-            visible=False,
-        )  # fmt: skip
-        builder = newton.ModelBuilder()
-        SolverDER.register_custom_attributes(builder)
-        builder.replicate(world, worlds)
-        model = self.model = builder.finalize(device=device, requires_grad=requires_grad)
-        self.dt, self._solver = dt, SolverDER(model)
-        self._states = [model.state(), model.state()]
-        self._hands = _Hands(model, worlds, dt)
-        self.last = (edges + 1) * (np.arange(worlds) + 1) - 1
-
-    def step(self) -> None:
-        """Two steps, there and back between the states: what a graph can hold."""
-        for _ in range(2):
-            self._hands.move(self._states[0])
-            self._solver.step(self._states[0], self._states[1], None, None, self.dt)
-            self._states.reverse()
-
-    def advance(self, steps: int) -> None:
-        for _ in range(steps // 2):
-            self.step()
-
-    def tips(self) -> np.ndarray:
-        if self._solver.diverged.any():
-            return np.full((1, 3), np.nan)
-        return self.state.der.node_q.numpy()[self.last]
-
-    @property
-    def state(self) -> newton.State:
-        return self._states[0]
-
-
-class HeldVbd(Vbd):
-    """The same under Newton's own cable solver."""
-
-    def __init__(self, worlds: int, edges: int, dt: float, device: str, iterations: int):
-        super().__init__(
-            Cantilever(CABLE, CABLE.length), edges, dt,
-            Start(rods=worlds, gravity=False, damping=False), device, iterations,
-        )  # fmt: skip
-        model = self._solver.model
-        model.gravity.assign(np.tile([CABLE.gravity, 0.0, 0.0], (len(model.gravity), 1)))
-        self._hands = _Hands(model, worlds, dt)
-
-    def _step(self) -> None:
-        self._hands.move(self._states[0])
-        super()._step()
 
 
 def tip_after(held, seconds: float) -> tuple[np.ndarray, float]:
@@ -141,24 +31,31 @@ def tip_after(held, seconds: float) -> tuple[np.ndarray, float]:
 
 
 @cache
-def _fine_tip(device: str, edges: int, seconds: float) -> np.ndarray:
-    return tip_after(HeldDer(1, 4 * edges, seconds / 1920, device), seconds)[0]
+def _fine_tip(device: str, edges: int, seconds: float, armed: bool) -> np.ndarray:
+    held = (ArmedDer if armed else HeldDer)(1, 4 * edges, seconds / 1920, device)
+    return tip_after(held, seconds)[0]
 
 
 def worlds_of_cables(
-    device: str, worlds: int, edges: int, seconds: float, iterations: tuple[int, ...] = ()
+    device: str,
+    worlds: int,
+    edges: int,
+    seconds: float,
+    iterations: tuple[int, ...] = (),
+    armed: bool = False,
 ) -> Iterator[dict]:
     """Speed and error of the tip over the length after a while: of `SolverDER`, or of VBD with so
-    many iterations."""
-    fine = _fine_tip(device, edges, seconds)
+    many iterations. An arm carries the cable, or a body that is driven."""
+    fine = _fine_tip(device, edges, seconds, armed)
+    der, vbd = (ArmedDer, ArmedVbd) if armed else (HeldDer, HeldVbd)
     for rate, effort in [(600, i) for i in iterations] or [(60, None), (120, None)]:
         if effort is None:
-            held = HeldDer(worlds, edges, 1.0 / rate, device)
+            held = der(worlds, edges, 1.0 / rate, device)
         else:
-            held = HeldVbd(worlds, edges, 1.0 / rate, device, effort)
+            held = vbd(worlds, edges, 1.0 / rate, device, effort)
         tip, took = tip_after(held, seconds)
         yield {
-            "scene": "cable held by a driven body",
+            "scene": f"cable held by {'an arm' if armed else 'a driven body'}",
             "solver": "SolverDER" if effort is None else "SolverVBD", "worlds": worlds,
             "edges": edges, "steps_per_second": rate, "iterations": effort,
             "simulated_seconds_per_second": worlds * seconds / took,
@@ -238,10 +135,15 @@ def measure(
     """Rows of all scenes, as they come; a scene that fails yields its error."""
     scenes = [
         lambda: worlds_of_cables(device, worlds, edges, seconds),
+        lambda: worlds_of_cables(device, worlds, edges, seconds, armed=True),
+        lambda: graph_of_a_step(device, 1, edges),
         lambda: graph_of_a_step(device, worlds, edges),
         lambda: gradients_of_steps(device, worlds, edges),
         lambda: piles(device, cables, edges, round(240 * seconds)),
         lambda: worlds_of_cables(device, min(worlds, _VBD_WORLDS), edges, seconds, (10,)),
+        lambda: worlds_of_cables(
+            device, min(worlds, _VBD_WORLDS), edges, seconds, (10,), armed=True
+        ),
     ]
     for scene in scenes:
         try:
