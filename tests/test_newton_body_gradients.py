@@ -18,6 +18,7 @@ BODY = ("body_q", "body_qd", "body_f")
 STEPS, DT = 5, 0.01
 # Steps of differences that single precision takes exactly.
 EXACT = {"gravity": 2.0**-7, "body_q": 2.0**-15, "body_qd": 2.0**-9, "body_f": 2.0**-16}
+LITTLE = ["edge_spin", "edge_stretching_stiffness", "node_twisting_stiffness", "rod_air_damping"]
 # What a loss weighs poses and velocities of the body by.
 WEIGHTS = np.array([3.0, -2.0, 5.0, 4.0, 1.0, -3.0, 2.0, 0.3, 0.2, -0.4, 0.02, 0.03, -0.01])
 
@@ -103,7 +104,7 @@ class Scene:
         with contextlib.nullcontext() if tape is None else tape:
             for k in range(STEPS):
                 end = states[(k + 1) % 2]
-                solver.step(states[k % 2], end, None, None, DT)
+                solver.step(states[k % 2], end, None, self.contacts(k, states[k % 2]), DT)
             arrays = [getattr(end.der, name) for name in STATE]
             arrays += [end.body_q, end.body_qd, self.body, of_body]
             wp.launch(measure, 9, [self.weight, *arrays], [loss], device=DEVICE)
@@ -114,14 +115,18 @@ class Scene:
     def _exactly(self, solver, near):
         """Pose and velocity of the body as the solver has them."""
         bodies = solver._groups[0].bodies
-        place, quat = bodies.place.numpy()[0, 0], bodies.turn.numpy()[0, 0]
+        (slot,) = np.flatnonzero(bodies.body.numpy()[0]["index"] == self.body)
+        place, quat = bodies.place.numpy()[0, slot], bodies.turn.numpy()[0, slot]
         quat = quat * np.sign(quat @ near)
         turn = Rotation.from_quat(quat)
         model = self.model
         inertia = turn.as_matrix() @ model.body_inertia.numpy()[self.body].astype(float)
-        spin = np.linalg.solve(inertia @ turn.as_matrix().T, bodies.momentum.numpy()[0, 0])
+        spin = np.linalg.solve(inertia @ turn.as_matrix().T, bodies.momentum.numpy()[0, slot])
         origin = place - turn.apply(model.body_com.numpy()[self.body])
-        return np.concatenate([origin, quat, bodies.velocity.numpy()[0, 0], spin])
+        return np.concatenate([origin, quat, bodies.velocity.numpy()[0, slot], spin])
+
+    def contacts(self, k, state):
+        """What collision detection finds in a state."""
 
     def gradients(self):
         tape = wp.Tape()
@@ -166,12 +171,16 @@ def test_gradients_through_a_free_body(holds, options):
     """Of a loss on the last state of rod and body, by all that the first held, by forces on the
     body, by every property and gravity, within 1e-6; what is of single precision, within 1e-7 of
     its parts."""
-    scene = Scene(holds, **options)
+    agrees(Scene(holds, **options), EXACT)
+
+
+def agrees(scene, exact, little=()):
+    """Derivatives with differences, by steps of `exact` where those are of single precision."""
     found = scene.gradients()
     rounding = 4.0 * np.finfo(float).eps * abs(scene.run()[0])
     assert set(found) >= {*STATE, *BODY, "gravity", "node_bending_stiffness"}
     for name, gradient in found.items():
-        rng, size = np.random.default_rng(list(name.encode())), EXACT.get(name, 5e-5)
+        rng, size = np.random.default_rng(list(name.encode())), exact.get(name, 5e-5)
         way = rng.normal(size=gradient.shape)
         if name in EXACT:
             way = rng.integers(-2, 3, size=gradient.shape).astype(float)
@@ -180,8 +189,7 @@ def test_gradients_through_a_free_body(holds, options):
                 way[3:] /= 16.0
         elif name in PROPERTIES and "natural" not in name:
             way *= getattr(scene.model.der, name).numpy()
-        little = ["edge_spin", "edge_stretching_stiffness"]  # which count little
-        if name in [*little, "node_twisting_stiffness", "rod_air_damping"]:
+        if name in [*LITTLE, *little]:
             way *= 30.0
         expected = scene.difference(name, way, size)
         parts = gradient * way
@@ -189,13 +197,90 @@ def test_gradients_through_a_free_body(holds, options):
         assert parts.sum() == pytest.approx(expected, rel=1e-6, abs=rounding / size + single), name
 
 
-def test_what_touches_a_free_body_has_no_gradients():
-    """Contact of such a body is refused by the step that meets it; before, it has gradients."""
+class Dragged(Scene):
+    """A box that a rod drags over the ground or, where `stacked`, over another box on it; what
+    detection finds in the first run is given in all."""
+
+    def __init__(self, friction: float, stacked: bool = False, **options):
+        self.options = {"tolerance": 1e-13, "max_iterations": 60} | options
+        material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.3)
+        builder = newton.ModelBuilder(gravity=(0.0, 0.0, -9.8125))
+        SolverDER.register_custom_attributes(builder)
+        builder.default_shape_cfg.mu = friction
+        builder.default_shape_cfg.density = 1000.0
+        builder.add_ground_plane()
+        deep, top = 5.0 * 2.0**-16, 0.0
+        if stacked:
+            below = builder.add_body(xform=wp.transform((0.01, 0.005, 0.015 - deep)))
+            builder.add_shape_box(below, hx=0.05, hy=0.04, hz=0.015)
+            top = 0.03 - 2.0 * deep
+        self.body = builder.add_body(
+            xform=wp.transform((0.0, 0.0, 0.02 + top - deep), wp.quat_rpy(0.0, 0.0, 0.3))
+        )
+        builder.add_shape_box(self.body, hx=0.025, hy=0.015, hz=0.02)
+        s = np.linspace(0.0, 0.3, 9)
+        line = np.stack([0.01 + s, 0.03 * s, 0.045 + top + 0.02 * s], axis=1)
+        SolverDER.add_rod(
+            builder, line, material, start="clamped", start_body=self.body, end="pinned",
+            internal_damping=0.01, air_damping=0.3, visible=False,
+        )  # fmt: skip
+        if stacked:
+            SolverDER.attach(builder, 0, below, node=4, kind="pinned")
+        model = self.model = builder.finalize(device=DEVICE, requires_grad=True)
+        der, rng = model.der, np.random.default_rng(2)
+        self.start = {
+            "node_q": der.node_q.numpy(),
+            "node_qd": 0.1 * rng.normal(size=(9, 3)),
+            "edge_director": der.edge_director.numpy(),
+            "edge_spin": 3.0 * rng.normal(size=8),
+            "body_q": model.body_q.numpy()[self.body].astype(float),
+            "body_qd": np.array([0.25, -0.125, 0.0, 0.0, 0.0, 1.0]),
+            "body_f": np.array([64, 32, -2048, 1, 2, -1]) * 2.0**-10,
+        }
+        self.weight = wp.array(rng.normal(size=(9, 3)), dtype=vec3d, device=DEVICE)
+        self._found, self._detection = [], newton.CollisionPipeline(model)
+
+    def contacts(self, k, state):
+        if len(self._found) <= k:
+            self._found.append(self._detection.contacts())
+            self._detection.collide(state, self._found[k])
+        return self._found[k]
+
+
+@pytest.mark.parametrize(
+    ("friction", "stacked", "options"),
+    [
+        (0.3, False, {}),
+        (1.5, False, {"scheme": "euler", "max_step": 0.006}),
+        (0.0, True, {}),
+        (0.3, True, {"max_step": 0.006}),
+    ],
+)
+def test_gradients_through_what_bodies_touch(friction, stacked, options):
+    """A box that slides on the ground, one that sticks to it, and two boxes on each other."""
+    exact = {"body_q": 2.0**-19, "body_qd": 2.0**-14, "gravity": 2.0**-9, "body_f": 2.0**-13}
+    scene = Dragged(friction, stacked, **options)
+    agrees(scene, exact | {"node_q": 4e-6, "edge_spin": 1e-3}, ["node_qd"])
+    slope = scene.model.shape_material_mu.grad.numpy().astype(float)
+    mu, size = scene.model.shape_material_mu.numpy().copy(), 2.0**-12
+
+    def at(k):
+        scene.model.shape_material_mu.assign(mu + np.float32(k * size))
+        return scene.run()[0]
+
+    if friction:
+        expected = (8.0 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12.0 * size)
+        assert slope.sum() == pytest.approx(expected, rel=1e-6)
+
+
+def test_what_moves_against_a_free_body_has_no_gradients():
+    """What something else moves is refused by the step that meets it; before, it has gradients."""
     builder = newton.ModelBuilder()
     SolverDER.register_custom_attributes(builder)
     body = builder.add_body(xform=wp.transform((0.0, 0.0, 0.1)))
     builder.add_shape_box(body, hx=0.02, hy=0.02, hz=0.02)
-    builder.add_ground_plane()
+    tray = builder.add_body(is_kinematic=True)
+    builder.add_shape_box(tray, hx=0.1, hy=0.1, hz=0.001)
     points = np.linspace(0.0, 0.2, 6)[:, None] * [1.0, 0.0, 0.0] + [0.0, 0.0, 0.4]
     material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.2)
     SolverDER.add_rod(builder, points, material, start="pinned", start_body=body, visible=False)

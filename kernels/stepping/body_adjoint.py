@@ -175,11 +175,12 @@ def condense_wanted(
     wanted: wp.array2d(dtype=wp.float64),
     load: wp.array3d(dtype=wp.float64),
     matrix: wp.array3d(dtype=wp.float64),
+    press: wp.array3d(dtype=wp.float64),
     # Out:
     small_out: wp.array3d(dtype=wp.float64),
 ):
-    """The bodies' system, its right-hand side in the last column. Launched over (row, motion,
-    motion + 1)."""
+    """The bodies' system, its right-hand side in the last column; `press` is D of contact between
+    bodies, or empty. Launched over (row, motion, motion + 1)."""
     r, j, k = wp.tid()
     if active[r] == 0:
         return
@@ -194,8 +195,11 @@ def condense_wanted(
             value += motion[r, j, a] * wanted[r, a]
     if k == n:
         value += load[r, j // 6, j % 6]
-    elif j // 6 == k // 6:
-        value += matrix[r, j // 6, 6 * (j % 6) + k % 6]
+    else:
+        if j // 6 == k // 6:
+            value += matrix[r, j // 6, 6 * (j % 6) + k % 6]
+        if press.shape[1] > 0:
+            value += press[r, k, j]
     small_out[r, j, k] = value
 
 

@@ -10,7 +10,13 @@ from wrod.kernels.contact.planes import IMPACT_WAY, damped_force, note_touch, re
 from wrod.kernels.elastic.frames import ZERO
 from wrod.kernels.stepping.bodies import Body, BodyMotion
 from wrod.kernels.stepping.body_exchange import wide
-from wrod.kernels.stepping.body_meetings import Meeting, from_pose, pose_of
+from wrod.kernels.stepping.body_meetings import (
+    Meeting,
+    from_pose,
+    pose_in_row,
+    pose_of,
+    where_met,
+)
 from wrod.kernels.stepping.carrying import Pose
 
 wp.set_module_options({"enable_backward": False})
@@ -30,14 +36,6 @@ class Press:
     point_there: wp.vec3d
     grip: wp.vec3d
     grip_there: wp.vec3d
-
-
-@wp.func
-def pose_in_row(body: wp.array2d(dtype=Body), x: BodyMotion, r: int, s: int) -> Pose:
-    out = Pose()
-    out.rotation = x.turn[r, s]
-    out.position = x.place[r, s] - wp.quat_rotate(out.rotation, body[r, s].centre)
-    return out
 
 
 @wp.func
@@ -72,10 +70,7 @@ def press(
     moved = out.grip - from_pose(was, m.grip)
     moved = moved - out.grip_there + from_pose(its_was, m.grip_there)
     out.moved = moved - wp.dot(moved, m.normal) * m.normal
-    # What is round stays above where it presses as it rolls on.
-    out.place = out.point + m.reach * m.normal
-    if m.reach_there > m.reach:
-        out.place = out.point_there - m.reach_there * m.normal
+    out.place = where_met(m, out.point, out.point_there)
     return out
 
 
@@ -142,6 +137,28 @@ def add_block(
             wp.atomic_add(matrix, r, a + 3, b + 3, corner[i, j])
 
 
+@wp.func
+def add_stiffness(
+    matrix: wp.array3d(dtype=wp.float64), m: Meeting, p: Press, h: Held, now: BodyMotion
+):
+    """To how what both bodies feel grows as they move, the arms as they are."""
+    r = m.row
+    normal = wp.outer(h.slope * m.normal + h.coupling, m.normal)
+    mine = now.place[r, m.slot]
+    arm = p.place - mine
+    add_block(matrix, r, m.slot, m.slot, normal, arm, p.point - mine)
+    add_block(matrix, r, m.slot, m.slot, h.tangential, arm, p.grip - mine)
+    if m.other >= 0:
+        its = now.place[r, m.other]
+        arm_there = p.place - its
+        add_block(matrix, r, m.other, m.other, normal, arm_there, p.point_there - its)
+        add_block(matrix, r, m.other, m.other, h.tangential, arm_there, p.grip_there - its)
+        add_block(matrix, r, m.slot, m.other, -normal, arm, p.point_there - its)
+        add_block(matrix, r, m.slot, m.other, -h.tangential, arm, p.grip_there - its)
+        add_block(matrix, r, m.other, m.slot, -normal, arm_there, p.point - mine)
+        add_block(matrix, r, m.other, m.slot, -h.tangential, arm_there, p.grip - mine)
+
+
 @wp.kernel
 def push_bodies(
     # Model:
@@ -173,22 +190,10 @@ def push_bodies(
         return
     h = hold(m, p, bristle[i], span[r])
     g = h.force * m.normal + h.pull
-    normal = wp.outer(h.slope * m.normal + h.coupling, m.normal)
-    mine = now.place[r, m.slot]
-    arm = p.place - mine
-    add_wrench(push_out, r, m.slot, g, arm)
-    add_block(matrix_out, r, m.slot, m.slot, normal, arm, p.point - mine)
-    add_block(matrix_out, r, m.slot, m.slot, h.tangential, arm, p.grip - mine)
+    add_wrench(push_out, r, m.slot, g, p.place - now.place[r, m.slot])
     if m.other >= 0:
-        its = now.place[r, m.other]
-        arm_there = p.place - its
-        add_wrench(push_out, r, m.other, -g, arm_there)
-        add_block(matrix_out, r, m.other, m.other, normal, arm_there, p.point_there - its)
-        add_block(matrix_out, r, m.other, m.other, h.tangential, arm_there, p.grip_there - its)
-        add_block(matrix_out, r, m.slot, m.other, -normal, arm, p.point_there - its)
-        add_block(matrix_out, r, m.slot, m.other, -h.tangential, arm, p.grip_there - its)
-        add_block(matrix_out, r, m.other, m.slot, -normal, arm_there, p.point - mine)
-        add_block(matrix_out, r, m.other, m.slot, -h.tangential, arm_there, p.grip - mine)
+        add_wrench(push_out, r, m.other, -g, p.place - now.place[r, m.other])
+    add_stiffness(matrix_out, m, p, h, now)
 
 
 @wp.kernel

@@ -7,6 +7,7 @@ to the second; the first one moves with rods.
 
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
+from wrod.kernels.stepping.bodies import Body, BodyMotion
 from wrod.kernels.stepping.body_exchange import wide
 from wrod.kernels.stepping.carrying import Pose, as_pose, on_the_way
 
@@ -83,6 +84,14 @@ def pose_of(body_q: wp.array(dtype=wp.transform), body: int) -> Pose:
 
 
 @wp.func
+def pose_in_row(body: wp.array2d(dtype=Body), x: BodyMotion, r: int, s: int) -> Pose:
+    out = Pose()
+    out.rotation = x.turn[r, s]
+    out.position = x.place[r, s] - wp.quat_rotate(out.rotation, body[r, s].centre)
+    return out
+
+
+@wp.func
 def from_pose(x: Pose, p: wp.vec3d) -> wp.vec3d:
     return x.position + wp.quat_rotate(x.rotation, p)
 
@@ -90,6 +99,14 @@ def from_pose(x: Pose, p: wp.vec3d) -> wp.vec3d:
 @wp.func
 def into_pose(x: Pose, p: wp.vec3d) -> wp.vec3d:
     return wp.quat_rotate_inv(x.rotation, p - x.position)
+
+
+@wp.func
+def where_met(m: Meeting, point: wp.vec3d, point_there: wp.vec3d) -> wp.vec3d:
+    """Where bodies press whose points are there. What is round stays above it as it rolls on."""
+    if m.reach_there > m.reach:
+        return point_there - m.reach_there * m.normal
+    return point + m.reach * m.normal
 
 
 @wp.func
@@ -103,20 +120,25 @@ def entry(table: wp.array(dtype=wp.int32), i: int) -> int:
 def read_contacts(
     # Model:
     owned: Owned,
+    own: wp.array2d(dtype=Body),
     # State in:
     detected: Detected,
     capacity: int,
+    now: BodyMotion,
     body_q: wp.array(dtype=wp.transform),
     before: wp.array(dtype=Meeting),
     bristle_before: wp.array(dtype=wp.vec3d),
     # State out:
     meeting_out: wp.array(dtype=Meeting),
     bristle_out: wp.array(dtype=wp.vec3d),
+    source_out: wp.array(dtype=wp.int32),
 ):
-    """Take contacts of our bodies up; friction goes on from the nearest one of the same shapes."""
+    """Take contacts of our bodies up; friction goes on from the nearest one of the same shapes
+    (`source`, -1: from none)."""
     i = wp.tid()
     m = Meeting()
     m.row = -1
+    source_out[i] = -1
     bristle_out[i] = wp.vec3d(ZERO, ZERO, ZERO)
     if i >= wp.min(detected.count[0], capacity):
         meeting_out[i] = m
@@ -161,13 +183,13 @@ def read_contacts(
     m.normal = normal
     m.reach = reach
     m.reach_there = reach_there
-    mine = pose_of(body_q, body)
+    mine = pose_in_row(own, now, m.row, m.slot)
     its = pose_of(body_q, m.body)
-    middle = HALF * (
-        from_pose(mine, point) + reach * normal + from_pose(its, point_there) - reach_there * normal
-    )
-    m.grip = into_pose(mine, middle)
-    m.grip_there = into_pose(its, middle)
+    if m.other >= 0:
+        its = pose_in_row(own, now, m.row, m.other)
+    place = where_met(m, from_pose(mine, point), from_pose(its, point_there))
+    m.grip = into_pose(mine, place)
+    m.grip_there = into_pose(its, place)
     size = wp.float64(detected.size[shape])
     mean = wp.float64(0.5 * (detected.stiffness[shape] + detected.stiffness[there]))
     m.stiffness = wp.max(mean, STANDARD_GRAVITY * heavier / (SINKING * size))
@@ -184,6 +206,7 @@ def read_contacts(
             if nearest < 0 or apart < least:
                 nearest = int(j)
                 least = wp.float64(apart)
+    source_out[i] = nearest
     if nearest >= 0:
         bristle_out[i] = bristle_before[nearest]
 

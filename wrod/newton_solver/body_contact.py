@@ -6,6 +6,7 @@ import warp as wp
 
 from wrod.kernels.stepping import body_contact as kernels
 from wrod.kernels.stepping import body_meetings as meetings
+from wrod.kernels.stepping import meeting_adjoint as adjoint
 from wrod.kernels.stepping.carrying import Pose
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.friction import contact_damping
@@ -35,7 +36,7 @@ class BodyContact:
     time_step: wp.array
 
     def __init__(self, model: newton.Model, bodies: Bodies):
-        self.model, self.bodies, self._size = model, bodies, 0
+        self.model, self.bodies, self._size, self._room = model, bodies, 0, 0
         device = model.device
         row, slot = np.full((2, model.body_count), -1, dtype=np.int32)
         for (r, s), record in np.ndenumerate(bodies.body.numpy()):
@@ -75,8 +76,17 @@ class BodyContact:
         wp.copy(self._old_bristle, self._bristle)
         self._launch(
             meetings.read_contacts,
-            [self._owned, detected, capacity, body_q, self._old, self._old_bristle],
-            [self._meeting, self._bristle],
+            [
+                self._owned,
+                self.bodies.body,
+                detected,
+                capacity,
+                self.bodies.now,
+                body_q,
+                self._old,
+                self._old_bristle,
+            ],
+            [self._meeting, self._bristle, self._source],
         )
         return grows
 
@@ -88,11 +98,37 @@ class BodyContact:
 
         self._size = size
         self._meeting, self._old = records(meetings.Meeting), records(meetings.Meeting)
+        self._source = records(wp.int32)
         self._fill_none()
+        self.make_room(self._room)
         self._here, self._was = records(Pose), records(Pose)
         self._bristle, self._old_bristle, self._force, self._place = (
             records(wp.vec3d) for _ in range(4)
         )
+
+    def make_room(self, steps: int) -> None:
+        """Keep what friction held at the starts of so many steps, for their adjoint."""
+        self._room = steps
+        shape = (steps, self._size)
+        self._kept = wp.zeros(shape, dtype=wp.vec3d, device=self.model.device)
+
+    def keep(self, accepted: wp.array, count: wp.array) -> None:
+        """Keep it for the step `count` (row,) of accepted rows."""
+        inputs = [self._meeting, accepted, count, self._bristle] if self._size else []
+        self._launch(adjoint.keep_bristles, inputs, [self._kept])
+
+    def kept(self, steps: int) -> tuple[wp.array, wp.array, wp.array] | None:
+        """(meeting,) contacts of the step that was taken last, (step, meeting) what friction held,
+        and (meeting,) the contacts of the step before that it went on from; None without any."""
+        if self._size == 0:
+            return None
+        return tuple(wp.clone(a) for a in (self._meeting, self._kept[:steps], self._source))
+
+    def find_unknown(self, chosen, dof, dof_before, touching: wp.array) -> None:
+        """Raise `touching` where bodies touch others that something else moves."""
+        if self._size:
+            inputs = [self.bodies.body, self._meeting, chosen, *self._motion()]
+            self._launch(adjoint.find_unknown, inputs, [touching])
 
     def _fill_none(self) -> None:
         self._launch(meetings.clear_contacts, [], [self._meeting])

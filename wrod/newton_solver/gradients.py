@@ -16,6 +16,7 @@ from wrod.kernels.stepping import carrying_adjoint as carrying_kernels
 from wrod.kernels.stepping import exchange_adjoint as kernels
 from wrod.newton_solver.carried_gradients import CarriedGradients
 from wrod.newton_solver.group import RodGroup
+from wrod.newton_solver.meeting_gradients import MeetingGradients
 from wrod.newton_solver.taken_steps import STATE, Ends, Taken, gradient_of, numbers_of
 from wrod.newton_solver.tapes import off_tape, recorded
 from wrod.rods.discretisation import of_free_part
@@ -94,6 +95,7 @@ class GroupGradients:
             group.duration,
             last,
             weakref.ref(tape),
+            meetings=group.body_contact.kept(record.most) if group.body_contact else None,
         )
         self._last = weakref.ref(taken)
         return taken
@@ -123,6 +125,10 @@ class GroupGradients:
                 self._shapes = wp.array(touched.indices(), dtype=wp.int32, device=device)
                 if touched.others_move:
                     self._carried = CarriedGradients(touched, self._adjoint)
+            self._meetings = None
+            if group.body_contact is not None:
+                by_friction = group.model.shape_material_mu.grad
+                self._meetings = MeetingGradients(self._adjoint, by_friction)
             self._world = wp.array(worlds, dtype=wp.int32, device=device)
         return self._adjoint
 
@@ -193,16 +199,22 @@ class GroupGradients:
                     [adjoint.model.rest_length],
                 )
 
-        if carried is None:
-            adjoint.go_back(taken.record, held)
-        else:
-
-            def held_and_carried(step: Any) -> None:
-                held(step)
+            if carried is not None:
                 carried.want(step, taken, by_before, by_poses)
 
-            adjoint.go_back(taken.record, held_and_carried, lambda step: carried.place(step, taken))
+        def place(step: Any) -> None:
+            if carried is not None:
+                carried.place(step, taken)
+            if self._meetings is not None:
+                self._meetings.recall()
+
+        if self._meetings is not None:
+            self._meetings.begin(taken)
+        adjoint.go_back(taken.record, held, place)
+        if carried is not None:
             carried.end()
+        if self._meetings is not None:
+            self._meetings.end(taken)
         adjoint.settle(taken.changed)
         if bodies is not None:
             self._want_bodies(bodies, taken, ends)

@@ -175,14 +175,14 @@ class RodGroup:
     ) -> None:
         """Take up what changed in `state_in`, and move on by `duration` [s]."""
         batch, dynamics = self.batch, self.dynamics
-        if self.body_contact is not None and self.body_contact.read(contacts, state_in.body_q):
-            dynamics.forget_recording()
         if duration != self.duration:
             self.duration = duration
             if self.shape_contact is not None:
                 self.shape_contact.pace(duration)
             dynamics.forget_recording()
         self._take_up(state_in)
+        if self.body_contact is not None and self.body_contact.read(contacts, state_in.body_q):
+            dynamics.forget_recording()
         wp.launch(
             carrying.note_held,
             dim=self.hold.shape,

@@ -74,6 +74,8 @@ class Taken:
         previous: the step before on the same tape.
         wanted: what later steps want of what no state holds, at its end and before.
         wanted_of_poses: (body, 7) what the next one wants of `poses`.
+        meetings: what bodies touched, as `BodyContact.kept` has it.
+        wanted_of_meetings: what the next one wants of the bristles there.
     """
 
     record: Record
@@ -88,3 +90,5 @@ class Taken:
     tape: weakref.ref
     wanted: list[list[wp.array]] | None = None
     wanted_of_poses: wp.array | None = None
+    meetings: tuple[wp.array, wp.array, wp.array] | None = None
+    wanted_of_meetings: wp.array | None = None

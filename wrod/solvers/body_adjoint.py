@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import warp as wp
 
@@ -18,6 +18,16 @@ def body_steps(bodies: Bodies) -> list[wp.array]:
     `wrod.kernels.stepping.body_adjoint.BodySteps`."""
     now, before = ([m.place, m.turn, m.momentum] for m in (bodies.now, bodies.before))
     return [*now, *before, bodies.older.turn]
+
+
+class Meetings(Protocol):
+    """Contact of bodies with each other and with what stands still, in the step gone through."""
+
+    def weigh(self, at: Any, load: wp.array, press: wp.array) -> None:
+        """Add to right-hand side and matrix of the bodies' system, `at` being the rods' step."""
+
+    def want_before(self, at: Any, multiplier: wp.array, before: Any) -> None:
+        """From the solution to where the bodies were before (`WantedBodies`)."""
 
 
 class BodyAdjoint:
@@ -61,12 +71,21 @@ class BodyAdjoint:
         self._motion, self._column, self._line = (floats(motions, dofs) for _ in range(3))
         self._load, self._matrix = floats(shape[1], 6), floats(shape[1], 36)
         self._small, self.multiplier = floats(motions, motions + 1), floats(motions)
+        self.meetings: Meetings | None = None
+        self._press = floats(0, 0)
         self._whole = wp.ones(shape[0], dtype=wp.float64, device=device)
         self._fraction = wp.ones_like(self._whole)
         self.x = wp.zeros((shape[0], 1 + motions, dofs), dtype=ALONE, device=device)
         self._numbers = wp.array(
             ptr=self.x.ptr, dtype=wp.float64, shape=self.x.shape, device=device
         )
+
+    def meet(self, meetings: Meetings) -> None:
+        """Go back through what these say that bodies touch, too."""
+        self.meetings = meetings
+        motions = self.bodies.columns
+        shape = (self._batch.rod_count, motions, motions)
+        self._press = wp.zeros(shape, dtype=wp.float64, device=self._batch.device)
 
     def clear(self) -> None:
         """Want nothing of forces any more."""
@@ -124,11 +143,14 @@ class BodyAdjoint:
             [bodies.body, bodies.hold, at, gradient, self.step, self.now],
             [self._load, self._matrix],
         )
+        if self.meetings is not None:
+            self._press.zero_()
+            self.meetings.weigh(at, self._load, self._press)
         batch.launch(
             kernels.condense_wanted,
             self._small.shape,
             [active, free, self._motion, self._column, self._line, self.x, wanted]
-            + [self._load, self._matrix],
+            + [self._load, self._matrix, self._press],
             [self._small],
         )
         batch.launch(
@@ -153,3 +175,5 @@ class BodyAdjoint:
             [body, at, self.step, self.multiplier, self.now],
             [self.before, self.older, by_gravity, self.force, self.torque],
         )
+        if self.meetings is not None:
+            self.meetings.want_before(at, self.multiplier, self.before)

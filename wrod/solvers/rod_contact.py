@@ -278,6 +278,8 @@ class RodContact(OnDevice):
             [touching],
         )
 
+    find_unknown = find_touching  # no adjoint
+
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
         self.batch.launch(

@@ -165,14 +165,19 @@ class Trace:
         self._solids = solids_of(dynamics)
         self._parts = StepParts([*step_arrays(dynamics).values(), *beside_rods(dynamics)])
         self._kept = self._parts.room(room)
+        self._remembering = [c for c in dynamics.contacts if hasattr(c, "keep")]
+        for contact in self._remembering:
+            contact.make_room(room)
 
     def follow(self, dynamics: NewtonSteps) -> None:
         """Keep the accepted steps."""
-        batch = self.batch
-        touched = [dynamics.accepted, batch.state.dof, dynamics.start.dof, self._touched]
+        batch, accepted = self.batch, dynamics.accepted
+        touched = [accepted, batch.state.dof, dynamics.start.dof, self._touched]
         for contact in dynamics.contacts:
             if contact is not self._planes:
-                contact.find_touching(*touched)
+                contact.find_unknown(*touched)
+        for contact in self._remembering:
+            contact.keep(accepted, self.count)
         if self._solids is not None:
             self._solids.find_unknown(*touched)
         if self._planes is not None:
@@ -181,7 +186,6 @@ class Trace:
                 plane_adjoint.find_unknown, shape, [self._planes.memory[0], *touched[:3]],
                 touched[3:],
             )  # fmt: skip
-        accepted = dynamics.accepted
         self._parts.launch(
             kernels.keep_step, [accepted, self.count, self._parts.part], [self._kept]
         )
@@ -214,7 +218,8 @@ class Trace:
             raise RodError(
                 f"row {int(np.flatnonzero(touched)[0])} of rods touches something in this step "
                 "through which gradients are not there; they are through planes that stand still, "
-                "and through solids that do not move with rods, where rods begin outside them"
+                "through solids that do not move with rods, where rods begin outside them, and "
+                "where bodies that move with rods touch each other or what stands still"
             )
         state = self.batch.state
         return Record(

@@ -1,0 +1,310 @@
+"""The adjoint of what rigid bodies that move with rods do to each other and to what stands still,
+in the steps of `wrod.kernels.stepping.body_adjoint`.
+
+What collision detection found counts as given, and so does whether a contact presses, sticks or
+slides. With g the force on the second body and U the difference of the multipliers of the two
+bodies' balance where g acts, -U is what is wanted of g; of its friction also what later steps want
+of the bristle, which ends as the pull over the stiffness.
+"""
+
+import warp as wp
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO
+from wrod.kernels.stepping.bodies import Body, BodyMotion
+from wrod.kernels.stepping.body_adjoint import WantedBodies, part
+from wrod.kernels.stepping.body_contact import Held, Press, add_stiffness, hold, pose_in_row, press
+from wrod.kernels.stepping.body_meetings import Meeting, from_pose
+from wrod.kernels.stepping.carrying import Pose
+from wrod.kernels.stepping.trace import OneStep
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def keep_bristles(
+    # State in:
+    meeting: wp.array(dtype=Meeting),
+    accepted: wp.array(dtype=wp.int32),
+    count: wp.array(dtype=wp.int32),
+    bristle: wp.array(dtype=wp.vec3d),
+    # Out: (step, meeting)
+    kept: wp.array2d(dtype=wp.vec3d),
+):
+    """Keep what friction held where accepted steps begin, as long as there is room."""
+    i = wp.tid()
+    r = meeting[i].row
+    if r < 0:
+        return
+    if accepted[r] != 0 and count[r] < kept.shape[0]:
+        kept[count[r], i] = bristle[i]
+
+
+@wp.kernel
+def find_unknown(
+    # Model:
+    body: wp.array2d(dtype=Body),
+    # State in:
+    meeting: wp.array(dtype=Meeting),
+    chosen: wp.array(dtype=wp.int32),
+    now: BodyMotion,
+    before: BodyMotion,
+    there_now: wp.array(dtype=Pose),
+    there_before: wp.array(dtype=Pose),
+    # State out:
+    touching_out: wp.array(dtype=wp.int32),
+):
+    """Say of the chosen rows whether bodies touch others that something else moves."""
+    i = wp.tid()
+    m = meeting[i]
+    if m.row < 0:
+        return
+    if chosen[m.row] == 0 or m.other >= 0 or m.body < 0:
+        return
+    p = press(m, body, now, before, there_now[i], there_before[i])
+    if p.depth > ZERO:
+        touching_out[m.row] = 1
+
+
+@wp.func
+def centre_of(x: BodyMotion, m: Meeting, slot: int) -> wp.vec3d:
+    """Where a body's centre is; of what stands still it does not matter."""
+    if slot < 0:
+        return wp.vec3d(ZERO, ZERO, ZERO)
+    return x.place[m.row, slot]
+
+
+@wp.func
+def add_corner(
+    matrix: wp.array3d(dtype=wp.float64), r: int, s: int, s_other: int, turn: int, b: wp.mat33d
+):
+    """To how the torque on a body grows as another one is shifted (turn 0) or turned (3)."""
+    for i in range(3):
+        for j in range(3):
+            wp.atomic_add(matrix, r, 6 * s + 3 + i, 6 * s_other + turn + j, b[i, j])
+
+
+@wp.func
+def add_moved_arms(
+    matrix: wp.array3d(dtype=wp.float64), m: Meeting, p: Press, g: wp.vec3d, now: BodyMotion
+):
+    """Derivatives of the torques by where g acts, which goes with one of the bodies."""
+    carrier = m.slot
+    point = p.point
+    if m.reach_there > m.reach:
+        carrier = m.other
+        point = p.point_there
+    away = wp.skew(point - centre_of(now, m, carrier))
+    for n in range(2):
+        s = wp.where(n == 0, m.slot, m.other)
+        if s >= 0:
+            turned = wp.where(n == 0, -ONE, ONE) * wp.skew(g)
+            add_corner(matrix, m.row, s, s, 0, -turned)
+            if carrier >= 0:
+                add_corner(matrix, m.row, s, carrier, 0, turned)
+                add_corner(matrix, m.row, s, carrier, 3, -turned * away)
+
+
+@wp.func
+def add_wanted(load: wp.array3d(dtype=wp.float64), r: int, s: int, arm: wp.vec3d, g: wp.vec3d):
+    """What is wanted of a body whose point at `arm` is wanted by g."""
+    t = wp.cross(arm, g)
+    for c in range(3):
+        wp.atomic_add(load, r, s, c, g[c])
+        wp.atomic_add(load, r, s, 3 + c, t[c])
+
+
+@wp.func
+def present(m: Meeting, body: wp.array2d(dtype=Body), now: BodyMotion, before: BodyMotion) -> Press:
+    """Of bodies with each other and with the world."""
+    stands = Pose()
+    stands.rotation = wp.quatd(ZERO, ZERO, ZERO, ONE)
+    return press(m, body, now, before, stands, stands)
+
+
+@wp.kernel
+def weigh_meetings(
+    # Model:
+    body: wp.array2d(dtype=Body),
+    # State in:
+    meeting: wp.array(dtype=Meeting),
+    at: OneStep,
+    now: BodyMotion,
+    before: BodyMotion,
+    kept: wp.array2d(dtype=wp.vec3d),
+    count: wp.array(dtype=wp.int32),
+    back: int,
+    wanted: wp.array(dtype=wp.vec3d),
+    # State in and out:
+    load: wp.array3d(dtype=wp.float64),
+    matrix: wp.array3d(dtype=wp.float64),
+):
+    """Add to the bodies' system what contact has in it, by row the equation, and to its right-hand
+    side what is wanted of bristles at the end of the step."""
+    i = wp.tid()
+    m = meeting[i]
+    if m.row < 0:
+        return
+    r = m.row
+    if at.active[r] == 0:
+        return
+    p = present(m, body, now, before)
+    if p.depth <= ZERO:
+        return
+    h = hold(m, p, kept[count[r] - 1 - back, i], at.span[r])
+    add_stiffness(matrix, m, p, h, now)
+    add_moved_arms(matrix, m, p, h.force * m.normal + h.pull, now)
+    y = wanted[i] / m.stiffness
+    of_grip = h.tangential * y
+    of_point = wp.dot(h.coupling, y) * m.normal
+    mine = now.place[r, m.slot]
+    add_wanted(load, r, m.slot, p.grip - mine, of_grip)
+    add_wanted(load, r, m.slot, p.point - mine, of_point)
+    if m.other >= 0:
+        its = now.place[r, m.other]
+        add_wanted(load, r, m.other, p.grip_there - its, -of_grip)
+        add_wanted(load, r, m.other, p.point_there - its, -of_point)
+
+
+@wp.func
+def moved_by(multiplier: wp.array2d(dtype=wp.float64), r: int, s: int, arm: wp.vec3d) -> wp.vec3d:
+    return part(multiplier, r, 6 * s) + wp.cross(part(multiplier, r, 6 * s + 3), arm)
+
+
+@wp.func
+def add_before(before: WantedBodies, r: int, s: int, arm: wp.vec3d, g: wp.vec3d):
+    wp.atomic_add(before.place, r, s, g)
+    wp.atomic_add(before.turn, r, s, wp.cross(arm, g))
+
+
+@wp.func
+def along_slip(h: Held) -> wp.vec3d:
+    """Friction's growth with the normal force, as far as it slides."""
+    if h.slope > ZERO:
+        return h.coupling / h.slope
+    return wp.vec3d(ZERO, ZERO, ZERO)
+
+
+@wp.func
+def unturned(now: BodyMotion, before: BodyMotion, r: int, s: int, g: wp.vec3d) -> wp.vec3d:
+    """What is wanted of a point of a body's frame by whose way in the step g is."""
+    return wp.quat_rotate_inv(now.turn[r, s], g) - wp.quat_rotate_inv(before.turn[r, s], g)
+
+
+@wp.kernel
+def want_meetings_before(
+    # Model:
+    body: wp.array2d(dtype=Body),
+    # State in:
+    meeting: wp.array(dtype=Meeting),
+    at: OneStep,
+    now: BodyMotion,
+    before: BodyMotion,
+    kept: wp.array2d(dtype=wp.vec3d),
+    count: wp.array(dtype=wp.int32),
+    back: int,
+    multiplier: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    wanted: wp.array(dtype=wp.vec3d),
+    grip: wp.array(dtype=wp.vec3d),
+    grip_there: wp.array(dtype=wp.vec3d),
+    wanted_before: WantedBodies,
+    by_friction: wp.array(dtype=wp.float32),
+):
+    """From the solution to where bodies came from, to what friction held, where on the bodies, and
+    to its coefficients, the shapes' mean."""
+    i = wp.tid()
+    m = meeting[i]
+    if m.row < 0:
+        return
+    r = m.row
+    if at.active[r] == 0:
+        return
+    y = wanted[i] / m.stiffness
+    wanted[i] = wp.vec3d(ZERO, ZERO, ZERO)
+    p = present(m, body, now, before)
+    if p.depth <= ZERO:
+        return
+    h = hold(m, p, kept[count[r] - 1 - back, i], at.span[r])
+    u = moved_by(multiplier, r, m.slot, p.place - now.place[r, m.slot])
+    if m.other >= 0:
+        u = u - moved_by(multiplier, r, m.other, p.place - now.place[r, m.other])
+    of_pull = y - u
+    of_bristle = h.tangential * of_pull
+    way = along_slip(h)
+    wanted[i] = of_bristle
+    if by_friction.shape[0] > 0 and m.friction > ZERO:
+        share = HALF * h.force / m.friction * wp.dot(way, of_pull)
+        for k in range(2):
+            wp.atomic_add(by_friction, m.shapes[k], wp.float32(share))
+    of_depth = ZERO
+    if p.closing < p.depth:
+        lag = m.relaxation / at.span[r]
+        of_depth = h.slope * lag / (ONE + lag) * (wp.dot(u, m.normal) - wp.dot(way, of_pull))
+    push = of_depth * m.normal
+    was = pose_in_row(body, before, r, m.slot)
+    centre = before.place[r, m.slot]
+    add_before(wanted_before, r, m.slot, from_pose(was, m.point) - centre, push)
+    add_before(wanted_before, r, m.slot, from_pose(was, m.grip) - centre, -of_bristle)
+    grip[i] = grip[i] + unturned(now, before, r, m.slot, of_bristle)
+    if m.other >= 0:
+        was = pose_in_row(body, before, r, m.other)
+        centre = before.place[r, m.other]
+        add_before(wanted_before, r, m.other, from_pose(was, m.point_there) - centre, -push)
+        add_before(wanted_before, r, m.other, from_pose(was, m.grip_there) - centre, of_bristle)
+        grip_there[i] = grip_there[i] - unturned(now, before, r, m.other, of_bristle)
+
+
+@wp.func
+def add_held(wanted: WantedBodies, m: Meeting, s: int, by_grip: wp.vec3d, p: Press, at: BodyMotion):
+    """What is wanted of where friction holds a body, which is where both met as the simulator's
+    step began."""
+    g = wp.quat_rotate(at.turn[m.row, s], by_grip)
+    add_before(wanted, m.row, s, p.place - at.place[m.row, s], -g)
+    carrier = m.slot
+    point = p.point
+    if m.reach_there > m.reach:
+        carrier = m.other
+        point = p.point_there
+    if carrier >= 0:
+        add_before(wanted, m.row, carrier, point - at.place[m.row, carrier], g)
+
+
+@wp.kernel
+def want_grips(
+    # Model:
+    body: wp.array2d(dtype=Body),
+    # State in:
+    meeting: wp.array(dtype=Meeting),
+    start: BodyMotion,
+    grip: wp.array(dtype=wp.vec3d),
+    grip_there: wp.array(dtype=wp.vec3d),
+    # State in and out:
+    wanted: WantedBodies,
+):
+    """To where bodies were as the simulator's step began."""
+    i = wp.tid()
+    m = meeting[i]
+    if m.row < 0:
+        return
+    p = present(m, body, start, start)
+    add_held(wanted, m, m.slot, grip[i], p, start)
+    if m.other >= 0:
+        add_held(wanted, m, m.other, grip_there[i], p, start)
+
+
+@wp.kernel
+def pass_bristles(
+    # In:
+    meeting: wp.array(dtype=Meeting),
+    source: wp.array(dtype=wp.int32),
+    changed: wp.array(dtype=wp.int32),
+    wanted: wp.array(dtype=wp.vec3d),
+    # Out:
+    earlier: wp.array(dtype=wp.vec3d),
+):
+    """To the contacts of the simulator's step before, of which friction went on, but for rows that
+    began anew."""
+    i = wp.tid()
+    if meeting[i].row < 0 or source[i] < 0:
+        return
+    if changed[meeting[i].row] == 0:
+        wp.atomic_add(earlier, source[i], wanted[i])

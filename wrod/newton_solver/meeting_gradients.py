@@ -1,0 +1,91 @@
+"""Gradients through what free bodies touch: each other, and what stands still."""
+
+from typing import Any
+
+import warp as wp
+
+from wrod.kernels.stepping import meeting_adjoint as kernels
+from wrod.kernels.stepping.bodies import BodyMotion
+from wrod.newton_solver.taken_steps import Taken
+from wrod.solvers.adjoint import StepAdjoint
+
+
+class MeetingGradients:
+    """Goes back through contacts of bodies (`wrod.solvers.body_adjoint.Meetings`).
+
+    Args:
+        adjoint: of the steps of the rods that move with them.
+        by_friction: (shape,) derivatives by the coefficients of friction, or None.
+    """
+
+    def __init__(self, adjoint: StepAdjoint, by_friction: wp.array | None):
+        assert adjoint.bodies is not None
+        self._bodies, self._device = adjoint.bodies, adjoint.batch.device
+        self._bodies.meet(self)
+        step = self._bodies.step
+        self._now, self._before = BodyMotion(), BodyMotion()
+        self._now.place, self._now.turn = step.place, step.turn
+        self._before.place, self._before.turn = step.place_before, step.turn_before
+        none = wp.zeros((0, 0), dtype=wp.vec3d, device=self._device)
+        for motion in (self._now, self._before):
+            motion.velocity = motion.momentum = none
+        self._by_friction = by_friction
+        if by_friction is None:
+            self._by_friction = wp.zeros(0, dtype=wp.float32, device=self._device)
+        self._taken: Taken | None = None
+        self._back = -1
+
+    def begin(self, taken: Taken) -> None:
+        """Go back through the contacts of this step from now on."""
+        self._taken, self._back = None, -1
+        if taken.meetings is None:
+            return
+        self._taken, count = taken, taken.meetings[0].shape[0]
+        self._wanted, self._grip, self._grip_there = (
+            wp.zeros(count, dtype=wp.vec3d, device=self._device) for _ in range(3)
+        )
+        if taken.wanted_of_meetings is not None:
+            self._wanted, taken.wanted_of_meetings = taken.wanted_of_meetings, None
+
+    def recall(self) -> None:
+        """Take up the step before of each row."""
+        self._back += 1
+
+    def end(self, taken: Taken) -> None:
+        """Let the start of the step be wanted for where friction held bodies since, and the step
+        before for bristles."""
+        if self._taken is None or taken.meetings is None:
+            return
+        bodies, (meeting, _, source) = self._bodies, taken.meetings
+        inputs = [bodies.bodies.body, meeting, self._before, self._grip, self._grip_there]
+        self._launch(kernels.want_grips, inputs, [bodies.now])
+        earlier = taken.previous
+        if earlier is None or earlier.meetings is None:
+            return
+        size = earlier.meetings[0].shape[0]
+        earlier.wanted_of_meetings = wp.zeros(size, dtype=wp.vec3d, device=self._device)
+        inputs = [meeting, source, taken.changed, self._wanted]
+        self._launch(kernels.pass_bristles, inputs, [earlier.wanted_of_meetings])
+
+    def weigh(self, at: Any, load: wp.array, press: wp.array) -> None:
+        """See `wrod.solvers.body_adjoint.Meetings`."""
+        if self._taken is not None:
+            self._launch(kernels.weigh_meetings, [*self._step(at), self._wanted], [load, press])
+
+    def want_before(self, at: Any, multiplier: wp.array, before: Any) -> None:
+        """See `wrod.solvers.body_adjoint.Meetings`."""
+        if self._taken is not None:
+            held = [self._wanted, self._grip, self._grip_there]
+            outputs = [*held, before, self._by_friction]
+            inputs = [*self._step(at), multiplier]
+            self._launch(kernels.want_meetings_before, inputs, outputs)
+
+    def _step(self, at: Any) -> list:
+        meeting, kept, _ = self._taken.meetings
+        count = self._taken.record.count
+        body = self._bodies.bodies.body
+        return [body, meeting, at, self._now, self._before, kept, count, self._back]
+
+    def _launch(self, kernel, inputs: list, outputs: list) -> None:
+        size = self._taken.meetings[0].shape[0]
+        wp.launch(kernel, size, inputs, outputs, device=self._device)
