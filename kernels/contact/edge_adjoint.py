@@ -19,7 +19,7 @@ from wrod.kernels.contact.edges import (
 )
 from wrod.kernels.contact.planes import Touchable, coefficient, damped_force, return_mapping
 from wrod.kernels.contact.rolling import by_logarithms
-from wrod.kernels.contact.shapes import WITH_RODS, shape_displacement
+from wrod.kernels.contact.shapes import WITH_RODS, Borne, beside, shape_displacement
 from wrod.kernels.elastic.assembly import add_vector
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node
 from wrod.kernels.linear.banded_lu import ALONE
@@ -218,13 +218,14 @@ def find_unknown(
     touching_out: wp.array(dtype=wp.int32),
 ):
     """Say of the chosen rods whether they touch a solid in a way that has no adjoint: one that
-    moves with rods, that turns them, or that they come out of. Launched over (rod, edge)."""
+    turns them, that they come out of, or that moves with rods whose roll it keeps. Launched over
+    (rod, edge)."""
     r, i = wp.tid()
     if chosen[r] == 0 or model.radius[r, i] == ZERO:
         return
     for k in range(model.shapes.shape[1]):
-        known = model.shapes[r, k].moves != WITH_RODS and hidden[r, i] == ZERO
-        known = known and model.rolling[r] == ZERO
+        known = model.shapes[r, k].moves != WITH_RODS or model.roll_friction[r, k] < ZERO
+        known = known and hidden[r, i] == ZERO and model.rolling[r] == ZERO
         if is_fixture(model.shapes[r, k]):
             c = edge_touch(model, dof, dof_before, wp.vec3d(), r, k, i)
             if c.force > ZERO and not known:
@@ -311,6 +312,7 @@ def want_friction(
     step: OneStep,
     now: Wanted,
     x: wp.array3d(dtype=ALONE),
+    borne: Borne,
     # State in and out:
     before: Wanted,
     by_coefficient: wp.array2d(dtype=wp.float64),
@@ -326,8 +328,6 @@ def want_friction(
     if step.active[r] == 0 or model.radius[r, i] == ZERO:
         return
     w = Ends()
-    w.head = solved(x, r, i)
-    w.tail = solved(x, r, i + 1)
     mean_mass = HALF * (node_mass[r, i] + node_mass[r, i + 1])
     for k in range(model.shapes.shape[1]):
         bristle = wp.vec3d(ZERO, ZERO, ZERO)
@@ -335,6 +335,8 @@ def want_friction(
         c = edge_touch(model, step.dof, step.dof_before, step.edge_bristle[r, k, i], r, k, i)
         if c.force > ZERO:
             h = hold(model, step, c, r, k, i)
+            w.head = beside(solved(x, r, i), borne, node(step.dof, r, i), r, k)
+            w.tail = beside(solved(x, r, i + 1), borne, node(step.dof, r, i + 1), r, k)
             w.after = now.edge_bristle[r, k, i]
             w.force = wp.float64(0.0)
             parts = wp.vec2d(ZERO, ZERO)

@@ -57,3 +57,20 @@ def shape_before(shape: Shape) -> Shape:
         out.position = shape.position_before
         out.rotation = shape.rotation_before
     return out
+
+
+@wp.struct
+class Borne:
+    """How multipliers of the balance of what carries shapes would move these (rod, shape): a shift
+    of what is at the origin, and a turn; nothing where nothing moves with the rods."""
+
+    shift: wp.array2d(dtype=wp.vec3d)
+    turn: wp.array2d(dtype=wp.vec3d)
+
+
+@wp.func
+def beside(x: wp.vec3d, b: Borne, q: wp.vec3d, r: int, k: int) -> wp.vec3d:
+    """A node's multiplier, less what the shape would move it."""
+    if b.shift.shape[1] == 0:
+        return x
+    return x - b.shift[r, k] - wp.cross(b.turn[r, k], q)

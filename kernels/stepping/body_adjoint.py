@@ -176,21 +176,26 @@ def condense_wanted(
     load: wp.array3d(dtype=wp.float64),
     matrix: wp.array3d(dtype=wp.float64),
     press: wp.array3d(dtype=wp.float64),
+    by_bodies: wp.array3d(dtype=wp.float64),
     # Out:
     small_out: wp.array3d(dtype=wp.float64),
 ):
-    """The bodies' system, its right-hand side in the last column; `press` is D of contact between
-    bodies, or empty. Launched over (row, motion, motion + 1)."""
+    """The bodies' system, its right-hand side in the last column; of contact `press` is D,
+    `by_bodies` the derivative of the rods' residual by the bodies, both may be empty. Launched over
+    (row, motion, motion + 1)."""
     r, j, k = wp.tid()
     if active[r] == 0:
         return
     n = motion.shape[1]
     value = wp.float64(0.0)
     for a in range(free.shape[1]):
+        touched = wp.float64(0.0)
+        if by_bodies.shape[1] > 0:
+            touched = by_bodies[r, j, a]
         if free[r, a] != 0:
-            value -= line[r, j, a] * x[r, wp.where(k == n, 0, k + 1), a][0]
+            value -= (line[r, j, a] + touched) * x[r, wp.where(k == n, 0, k + 1), a][0]
         elif k < n:
-            value += motion[r, j, a] * column[r, k, a]
+            value += motion[r, j, a] * column[r, k, a] + touched * motion[r, k, a]
         else:
             value += motion[r, j, a] * wanted[r, a]
     if k == n:

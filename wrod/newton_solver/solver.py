@@ -64,7 +64,7 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
     `shape_material_mu`, and `model.der`'s stretching, bending and twisting stiffness, natural
     curvature and twist, internal and air damping, radii, and node masses and rest lengths (both not
     for "consistent" inertia). Others have no `grad`. Rods may touch planes that stand still, and
-    solids; all else is refused.
+    solids; free bodies each other, what stands still, and rods; all else is refused.
 
     Example
     -------

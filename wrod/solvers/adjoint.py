@@ -126,6 +126,8 @@ class StepAdjoint:
             carried = (dynamics.bodies.carried.numpy() != 0) & (batch.free.numpy() == 0)
             moved = np.where(carried, 2, moved)
             self._x = self.bodies.x
+            if self._contact.carried is not None:
+                self.bodies.touch(self._contact.carry(self.bodies.step))
             recalled += [getattr(self.bodies.step, name) for name in BodySteps.vars]
         if self._past is not None:
             recalled.append(self._past.node)
@@ -289,10 +291,10 @@ class StepAdjoint:
             [self._wanted, self._x],
         )
         if self.bodies is not None:
-            self.bodies.load(step, self._matrix)
+            self.bodies.load(step, self._matrix, self.gradient, now)
         batch.launch_lanes(kernels.solve, [step.active, self._factor], [self._x])
         if self.bodies is not None:
-            self.bodies.solve(step, self.gradient, self._wanted)
+            self.bodies.solve(step, self._wanted)
         batch.launch(
             kernels.want_held,
             (rods, dofs),

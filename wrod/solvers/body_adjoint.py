@@ -11,6 +11,7 @@ from wrod.kernels.stepping import body_adjoint as kernels
 from wrod.kernels.stepping import body_system
 from wrod.kernels.stepping.bodies import BodyMotion
 from wrod.solvers.bodies import Bodies
+from wrod.solvers.carried_adjoint import CarriedAdjoint
 
 
 def body_steps(bodies: Bodies) -> list[wp.array]:
@@ -72,7 +73,8 @@ class BodyAdjoint:
         self._load, self._matrix = floats(shape[1], 6), floats(shape[1], 36)
         self._small, self.multiplier = floats(motions, motions + 1), floats(motions)
         self.meetings: Meetings | None = None
-        self._press = floats(0, 0)
+        self.touches: CarriedAdjoint | None = None
+        self._press, self._on_bodies, self._by_bodies = (floats(0, 0) for _ in range(3))
         self._whole = wp.ones(shape[0], dtype=wp.float64, device=device)
         self._fraction = wp.ones_like(self._whole)
         self.x = wp.zeros((shape[0], 1 + motions, dofs), dtype=ALONE, device=device)
@@ -83,9 +85,19 @@ class BodyAdjoint:
     def meet(self, meetings: Meetings) -> None:
         """Go back through what these say that bodies touch, too."""
         self.meetings = meetings
-        motions = self.bodies.columns
-        shape = (self._batch.rod_count, motions, motions)
-        self._press = wp.zeros(shape, dtype=wp.float64, device=self._batch.device)
+        self._press = self._of_motions(self.bodies.columns)
+
+    def touch(self, touches: CarriedAdjoint) -> None:
+        """Go back through what edges of rods and these do to each other, too."""
+        self.touches = touches
+        self._press = self._of_motions(self.bodies.columns)
+        self._on_bodies, self._by_bodies = (
+            self._of_motions(self._batch.dof_count) for _ in range(2)
+        )
+
+    def _of_motions(self, size: int) -> wp.array:
+        shape = (self._batch.rod_count, self.bodies.columns, size)
+        return wp.zeros(shape, dtype=wp.float64, device=self._batch.device)
 
     def clear(self) -> None:
         """Want nothing of forces any more."""
@@ -96,6 +108,8 @@ class BodyAdjoint:
         """Of the step that was taken up, `at` being the rods'."""
         shape = self.bodies.body.shape
         self._batch.launch(kernels.find_ends, shape, [at, self.step], [self.end])
+        if self.touches is not None:
+            self.touches.place(at)
 
     def go_to_middle(self, at: Any, held: wp.array) -> None:
         """From the ends of the steps of the midpoint rule (`at`): what is wanted of what bodies
@@ -109,12 +123,14 @@ class BodyAdjoint:
             [self.now, self.before],
         )
 
-    def load(self, at: Any, matrix: Any) -> None:
+    def load(self, at: Any, matrix: Any, gradient: wp.array, wanted: Any) -> None:
         """Right-hand sides of the rods' system of a step: one for each motion of the bodies.
 
         Args:
             at: the rods' step.
             matrix: `wrod.kernels.stepping.adjoint.StepMatrix`.
+            gradient: (row, dof) the rods' residual.
+            wanted: `wrod.kernels.stepping.trace.Wanted` of the rods at the end of the step.
         """
         batch, hold, active = self._batch, self.bodies.hold, at.active
         batch.launch(
@@ -127,30 +143,35 @@ class BodyAdjoint:
             [batch.free, active, matrix, self._motion],
             [self._column, self._line, self.x],
         )
+        batch.launch(
+            kernels.balance_wanted,
+            self.bodies.body.shape,
+            [self.bodies.body, hold, at, gradient, self.step, self.now],
+            [self._load, self._matrix],
+        )
+        self._press.zero_()
+        if self.meetings is not None:
+            self.meetings.weigh(at, self._load, self._press)
+        if self.touches is not None:
+            for array in (self._on_bodies, self._by_bodies):
+                array.zero_()
+            outputs = [self._load, self._press, self._on_bodies, self._by_bodies]
+            self.touches.weigh(at, wanted, outputs, [self._column, self.x])
 
-    def solve(self, at: Any, gradient: wp.array, wanted: wp.array) -> None:
+    def solve(self, at: Any, wanted: wp.array) -> None:
         """Multipliers of the bodies, and of all the rods' degrees of freedom, from the solutions.
 
         Args:
             at: the rods' step.
-            gradient, wanted: (row, dof) the rods' residual, and what a loss wants of them.
+            wanted: (row, dof) what a loss wants of the rods.
         """
         batch, bodies, active, free = self._batch, self.bodies, at.active, self._batch.free
         self.pose = self.step
         batch.launch(
-            kernels.balance_wanted,
-            bodies.body.shape,
-            [bodies.body, bodies.hold, at, gradient, self.step, self.now],
-            [self._load, self._matrix],
-        )
-        if self.meetings is not None:
-            self._press.zero_()
-            self.meetings.weigh(at, self._load, self._press)
-        batch.launch(
             kernels.condense_wanted,
             self._small.shape,
             [active, free, self._motion, self._column, self._line, self.x, wanted]
-            + [self._load, self._matrix, self._press],
+            + [self._load, self._matrix, self._press, self._by_bodies],
             [self._small],
         )
         batch.launch(
@@ -165,6 +186,8 @@ class BodyAdjoint:
             [active, free, self._motion, self.multiplier, self._whole],
             [self._numbers],
         )
+        if self.touches is not None:
+            self.touches.bear(at, self._on_bodies, self.multiplier, wanted)
 
     def want_before(self, at: Any, by_gravity: wp.array) -> None:
         """From the end of the step to its starts, and to what acts on the bodies."""
@@ -177,3 +200,5 @@ class BodyAdjoint:
         )
         if self.meetings is not None:
             self.meetings.want_before(at, self.multiplier, self.before)
+        if self.touches is not None:
+            self.touches.want_before(at, self.before)

@@ -21,7 +21,7 @@ class CarriedShapes:
     def __init__(self, bodies: Bodies, slot: np.ndarray, place: np.ndarray, turn: np.ndarray):
         self.bodies, self.batch = bodies, bodies.batch
         device = self.batch.device
-        self._carried = carried = kernels.Carried()
+        self.places = carried = kernels.Carried()
         carried.slot = wp.array(slot, dtype=wp.int32, device=device)
         carried.place = wp.array(place, dtype=wp.vec3d, device=device)
         carried.turn = wp.array(turn, dtype=wp.quatd, device=device)
@@ -29,8 +29,8 @@ class CarriedShapes:
 
     def move(self, place: np.ndarray, turn: np.ndarray) -> None:
         """Put shapes elsewhere on their bodies."""
-        self._carried.place.assign(place)
-        self._carried.turn.assign(turn)
+        self.places.place.assign(place)
+        self.places.turn.assign(turn)
 
     def place(self, shapes: wp.array, chosen: wp.array, at_end: bool = False) -> None:
         """Put the shapes of the chosen rows to where Newton's method has their bodies, or, where
@@ -39,7 +39,7 @@ class CarriedShapes:
         self.batch.launch(
             kernels.place_shapes,
             shapes.shape,
-            [bodies.body, self._carried, chosen, bodies.now, bodies.before, *bodies.spans]
+            [bodies.body, self.places, chosen, bodies.now, bodies.before, *bodies.spans]
             + [int(at_end)],
             [shapes],
         )
@@ -50,7 +50,7 @@ class CarriedShapes:
         self.batch.launch(
             kernels.push_carriers,
             (self.batch.rod_count, self.batch.node_count - 1),
-            [model, self._carried, *touching, bodies.now],
+            [model, self.places, *touching, bodies.now],
             [bodies.push, bodies.press, bodies.touch],
         )
 
@@ -61,6 +61,6 @@ class CarriedShapes:
         size = (*shapes.shape, radius.shape[1])
         depth = wp.zeros(size, dtype=wp.float64, device=device)
         thick = wp.array(np.ascontiguousarray(radius), dtype=wp.float64, device=device)
-        inputs = [shapes, self._carried, thick, dof]
+        inputs = [shapes, self.places, thick, dof]
         self.batch.launch(kernels.measure_overlaps, size, inputs, [depth])
         return depth.numpy()

@@ -8,8 +8,11 @@ import numpy as np
 import warp as wp
 
 from wrod.kernels.contact import edge_adjoint, plane_adjoint, planes, rolling, rolling_adjoint
+from wrod.kernels.contact.shapes import Borne
 from wrod.kernels.stepping.adjoint import EdgeBlock, RollBlock
 from wrod.rods.state import Derivatives
+from wrod.solvers.carried_adjoint import CarriedAdjoint
+from wrod.solvers.carried_shapes import CarriedShapes
 from wrod.solvers.trace import planes_of, solids_of
 
 if TYPE_CHECKING:
@@ -28,6 +31,7 @@ class ContactAdjoint:
         matrix: arrays of `wrod.kernels.stepping.adjoint.StepMatrix`, by name; without columns where
             nothing is touched like that.
         by_friction, by_shape: as of `StepAdjoint`.
+        borne: how multipliers of bodies would move the shapes that they carry.
     """
 
     def __init__(self, dynamics: Dynamics, stiffness_of_mass: np.ndarray | None):
@@ -57,11 +61,26 @@ class ContactAdjoint:
         self.by_shape = edge_adjoint.WantedShapes()
         for name in edge_adjoint.WantedShapes.vars:
             setattr(self.by_shape, name, floats(shapes, dtype=wp.vec3d))
+        self.borne = Borne()
+        self.borne.shift, self.borne.turn = (floats(0, dtype=wp.vec3d) for _ in range(2))
         if stiffness_of_mass is None:
             stiffness_of_mass = np.zeros((rods, nodes))
         self._stiffness_share = numbers(stiffness_of_mass)
         if self._solids is not None:
             self._per_mass = numbers(stiffness_of_mass / self._planes.memory[0].stiffness.numpy())
+
+    @property
+    def carried(self) -> CarriedShapes | None:
+        """Shapes that move with the rods, if any do."""
+        return None if self._solids is None else self._solids.carried
+
+    def carry(self, bodies: Any) -> CarriedAdjoint:
+        """Their adjoint in steps of these bodies (`BodySteps`)."""
+        assert self.carried is not None
+        for name in Borne.vars:
+            setattr(self.borne, name, wp.zeros_like(self.by_shape.place))
+        model = self._solids.memory[0]
+        return CarriedAdjoint(self.carried, model, bodies, self.borne, self.by_shape)
 
     def add(self, step: Any, now: Any, at: Derivatives, matrix: Any) -> None:
         """Add to residual and matrix of a step, and let what is wanted of bristles at its end be
@@ -134,6 +153,6 @@ class ContactAdjoint:
             batch.launch(
                 edge_adjoint.want_friction,
                 (batch.rod_count, batch.node_count - 1),
-                [self._solids.memory[0], self._per_mass, *rods],
+                [self._solids.memory[0], self._per_mass, *rods, self.borne],
                 [*outputs, self.by_shape],
             )

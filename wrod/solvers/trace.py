@@ -218,8 +218,9 @@ class Trace:
             raise RodError(
                 f"row {int(np.flatnonzero(touched)[0])} of rods touches something in this step "
                 "through which gradients are not there; they are through planes that stand still, "
-                "through solids that do not move with rods, where rods begin outside them, and "
-                "where bodies that move with rods touch each other or what stands still"
+                "through solids, where rods begin outside them and are straight at rest if it "
+                "moves with them, and where bodies that move with rods touch each other or "
+                "what stands still"
             )
         state = self.batch.state
         return Record(
