@@ -15,7 +15,7 @@ from wrod.newton_solver.gradients import PROPERTIES
 
 SolverDER = wrod.SolverDER
 BODY = ("body_q", "body_qd", "body_f")
-STEPS, DT = 5, 0.01
+DT = 0.01
 # Steps of differences that single precision takes exactly.
 EXACT = {"gravity": 2.0**-7, "body_q": 2.0**-15, "body_qd": 2.0**-9, "body_f": 2.0**-16}
 # Where contact is pressed in by a few hundredths of a millimetre.
@@ -54,6 +54,8 @@ def measure(
 class Scene:
     """A rod that a free body with an eccentric centre of mass holds: by its start, its end, and at
     its middle."""
+
+    steps = 5
 
     def __init__(self, holds: tuple[str, str, str | None], **options):
         self.options = {"tolerance": 1e-13, "max_iterations": 60} | options
@@ -107,7 +109,7 @@ class Scene:
         loss = wp.zeros(1, dtype=f64, device=DEVICE, requires_grad=True)
         of_body = wp.array(WEIGHTS, dtype=f64, device=DEVICE)
         with contextlib.nullcontext() if tape is None else tape:
-            for k in range(STEPS):
+            for k in range(self.steps):
                 end = states[(k + 1) % 2]
                 solver.step(states[k % 2], end, None, self.contacts(k, states[k % 2]), DT)
             arrays = [getattr(end.der, name) for name in STATE]
@@ -203,10 +205,12 @@ def agrees(scene, exact, little=(), without=()):
 
 
 class Dragged(Scene):
-    """A box that a rod drags over the ground or, where `stacked`, over another box on it; what
-    detection finds in the first run is given in all."""
+    """A box or a ball that a rod drags over the ground or, where `stacked`, over another box on it;
+    what detection finds in the first run is given in all."""
 
-    def __init__(self, friction: float, stacked: bool = False, **options):
+    steps = 3
+
+    def __init__(self, friction: float, stacked: bool, is_round: bool = False, **options):
         self.options = {"tolerance": 1e-13, "max_iterations": 60} | options
         material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.3)
         builder = newton.ModelBuilder(gravity=(0.0, 0.0, -9.8125))
@@ -222,7 +226,10 @@ class Dragged(Scene):
         self.body = builder.add_body(
             xform=wp.transform((0.0, 0.0, 0.02 + top - deep), wp.quat_rpy(0.0, 0.0, 0.3))
         )
-        builder.add_shape_box(self.body, hx=0.025, hy=0.015, hz=0.02)
+        if is_round:
+            builder.add_shape_sphere(self.body, radius=0.02)
+        else:
+            builder.add_shape_box(self.body, hx=0.025, hy=0.015, hz=0.02)
         s = np.linspace(0.0, 0.3, 9)
         line = np.stack([0.01 + s, 0.03 * s, 0.045 + top + 0.02 * s], axis=1)
         SolverDER.add_rod(
@@ -302,10 +309,12 @@ class Laid(Dragged):
         (1.5, False, {"scheme": "euler", "max_step": 0.006}),
         (0.0, True, {}),
         (0.3, True, {"max_step": 0.006}),
+        (0.3, True, {"is_round": True}),
     ],
 )
 def test_gradients_through_what_bodies_touch(friction, stacked, options):
-    """A box that slides on the ground, one that sticks to it, and two boxes on each other."""
+    """A box that slides on the ground, one that sticks to it, two boxes on each other, and a ball
+    on a box."""
     scene = Dragged(friction, stacked, **options)
     agrees(scene, PRESSED | {"body_q": 2.0**-19, "node_q": 4e-6}, ["node_qd"])
     agrees_by_friction(scene)
