@@ -29,12 +29,9 @@ wp.set_module_options({"enable_backward": False})
 
 # Balance that is enough at the target to look along the family.
 AT_TARGET = wp.constant(wp.float64(5.0e-3))
-# Change of the force that no longer matters, and its part of what rounding leaves out of balance;
-# then those of general rods, whose slopes are not refined.
+# Change of the force that no longer matters, and its part of what rounding leaves out of balance.
 FORCE_DONE = wp.constant(wp.float64(1.0e-12))
 FORCE_ROUNDING = wp.constant(wp.float64(1.0e-5))
-GENERAL_FORCE_DONE = wp.constant(wp.float64(1.0e-11))
-GENERAL_FORCE_ROUNDING = wp.constant(wp.float64(0.01))
 # After a longer way along the family the slope is of what is out of balance, and small by luck.
 STILL = wp.constant(wp.float64(3.0e-7))
 # A slope that has been refined so often is as good as it gets.
@@ -120,7 +117,8 @@ def make_go_on(size: int) -> wp.Function:
     general = size == 4
     walk = make_walk(size)
     state_of_walk = walk.struct
-    vector = make_border(size).vector
+    border = make_border(size)
+    vector = border.vector
     take_step = make_step(size, GeneralRod if general else StraightRod)[0]
     walk_on = make_lead(size)[1]
     # Where the thrust stands among the border's unknowns.
@@ -159,6 +157,11 @@ def make_go_on(size: int) -> wp.Function:
         node_1 = turn + v[0] * first_direction(half_turn(kappa, h0))
         fraction = take_step(state, scratch, r, slot, edges, node_1, v, w.spin, limit)
         w.pull = w.pull + fraction * v[last]
+        if w.status == CONVERGED:
+            # Nobody evaluates it again.
+            gradient = border.grip_gradient(scratch.condensed, slot)
+            gradient += fraction * border.grip_rate(scratch.condensed, slot, node_1, v)
+            border.put_grip_gradient(scratch.condensed, slot, gradient)
         if balanced:
             w.moved = fraction * along_family
         if ahead != ZERO:
@@ -199,7 +202,9 @@ def make_solver(size: int):
         Out of balance a grasp takes Newton steps. In balance short of the target it walks on, along
         the exact tangent of the curvature, each step a Newton step as well. At the target it goes
         along the family to the closure's minimum at the same time as to its balance. What has not
-        found its balance in time goes back to the last grasp, and on in smaller steps.
+        found its balance in time goes back to the last grasp, and on in smaller steps. What has
+        found it takes the Newton step that is known besides, without which it would end where its
+        last one happened to: as far off as its tolerance.
         """
         thread = wp.tid()
         if thread >= count[0]:
@@ -207,10 +212,7 @@ def make_solver(size: int):
         r = work[thread]
         slot = thread % scratch.condensed.shape[0]
         h0 = rod.rest[r, 0]
-        force_done = wp.max(
-            wp.max(task.force_done, wp.static(GENERAL_FORCE_DONE if general else FORCE_DONE)),
-            wp.static(GENERAL_FORCE_ROUNDING if general else FORCE_ROUNDING) * task.tolerance[r],
-        )
+        force_done = wp.max(wp.max(task.force_done, FORCE_DONE), FORCE_ROUNDING * task.tolerance[r])
         kappa = wp.float64(curvature[r])
         w = walk.begin(r, kappa, task.target[r], task.increment[r], thrust[r], family)
         if wp.static(general):
@@ -234,13 +236,14 @@ def make_solver(size: int):
             settled = at_target and wp.abs(w.moved) <= STILL + wp.float64(100.0) * task.force_done
             settled = settled and (wp.abs(change) <= force_done or w.refined > MOST_REFINED)
             lost = not wp.isfinite(w.worst) or w.waited > task.patience
-            if balanced and settled and w.worst <= task.tolerance[r]:
+            found = balanced and settled and w.worst <= task.tolerance[r]
+            if found:
                 w.status = CONVERGED
-            elif lost or w.iterations >= task.most_iterations:
+            if not found and (lost or w.iterations >= task.most_iterations):
                 walk.go_back(w, state, scratch.saved, r, slot, edges, task.most_iterations)
-            else:
+            elif not found or task.force_done == ZERO:
                 go_on(
-                    w, balanced, settled, change, ahead, turn, v, h0, kappa,
+                    w, balanced and not found, settled, change, ahead, turn, v, h0, kappa,
                     state, r, slot, edges, scratch, task.step_limit,
                 )  # fmt: skip
         if wp.static(not general):

@@ -67,7 +67,7 @@ def make_balance(size: int, model: type) -> wp.Function:
         )
         if wp.static(general):
             w.spin = spin_at_grip(rod, w.place, state, r, edges)
-            add_torque(
+            w.torque = add_torque(
                 scratch.load[slot, edges, 0],
                 point(state, r, edges) - point(state, r, edges - 1),
                 w.spin, slot, edges, scratch.factor, scratch.condensed,

@@ -109,55 +109,6 @@ def worse(worst: wp.float64, force: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def stencil_rate(
-    stiffness: wp.array3d(dtype=wp.float64),
-    slot: int,
-    j: int,
-    first: int,
-    de: wp.vec3d,
-    df: wp.vec3d,
-) -> wp.vec3d:
-    """Rate of the derivative by the edge before (`first` 0) or after (3) node j, when these edges
-    change by `de` and `df`."""
-    rate = wp.vec3d(ZERO, ZERO, ZERO)
-    for a in range(3):
-        for b in range(3):
-            p = wp.min(first + a, b)
-            q = wp.max(first + a, b)
-            rate[a] += stiffness[slot, j, p * (11 - p) // 2 + q] * de[b]
-            p = wp.min(first + a, 3 + b)
-            q = wp.max(first + a, 3 + b)
-            rate[a] += stiffness[slot, j, p * (11 - p) // 2 + q] * df[b]
-    return rate
-
-
-@wp.func
-def motion_load(
-    stiffness: wp.array3d(dtype=wp.float64),
-    motion: wp.array3d(dtype=wp.float64),
-    slot: int,
-    edges: int,
-    # Out:
-    load: wp.array3d(dtype=wp.float64),
-):
-    """Fill `load` with the gradient's rate when the nodes move by `motion`, from the differences of
-    neighbours: what rounding leaves of it is as small as these."""
-    de = wp.vec3d(ZERO, ZERO, ZERO)
-    before = wp.vec3d(ZERO, ZERO, ZERO)
-    here = wp.vec3d(ZERO, ZERO, ZERO)
-    for j in range(edges):
-        df = point(motion, slot, j + 1) - point(motion, slot, j)
-        e = stencil_rate(stiffness, slot, j, 0, de, df)
-        f = stencil_rate(stiffness, slot, j, 3, de, df)
-        put_point(load, slot, wp.max(j - 1, 0), before - e)
-        before = here + e - f
-        here = f
-        de = df
-    put_point(load, slot, edges - 1, before)
-    put_point(load, slot, edges, here)
-
-
-@wp.func
 def gradient_rate(
     rest: wp.array2d(dtype=wp.float64),
     rest_rate: wp.array2d(dtype=wp.float64),

@@ -8,9 +8,10 @@ import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.grasping.bordered import make_border
 from wrod.kernels.grasping.closures import FAILED, RUNNING, counted
+from wrod.kernels.grasping.grip_torque import GripTorque, condense_torque, load_torque
+from wrod.kernels.grasping.motion_load import make_motion_load
 from wrod.kernels.grasping.reading import Level
 from wrod.kernels.grasping.scratch import Scratch
-from wrod.kernels.grasping.straight_rod import motion_load
 from wrod.kernels.linear.frontal import make_elimination
 
 wp.set_module_options({"enable_backward": False})
@@ -52,6 +53,7 @@ def make_walk(size: int) -> Walk:
 
 def _struct(size: int) -> type:
     vector = make_border(size).vector
+    of_grip = GripTorque if size == 4 else wp.float64
 
     @wp.struct
     class Walk:
@@ -63,6 +65,7 @@ def _struct(size: int) -> type:
         # The thrust at the grip; how the last edge of a general rod spins (`grip_torque`).
         pull: wp.float64
         spin: wp.vec3d
+        torque: of_grip
         # The family's tangent, and the same by the length of the way of what the closure makes
         # small; where it led last, by how much, and the closure's slope there and its steepness.
         along: vector
@@ -140,6 +143,7 @@ def _family(size: int, walk: type) -> wp.Function:
     border = make_border(size)
     vector = border.vector
     _, recover, condense = make_elimination(size)
+    motion_load = make_motion_load(size)
     last = size + 1
 
     @wp.func
@@ -166,7 +170,11 @@ def _family(size: int, walk: type) -> wp.Function:
         border.put_motion(scratch.motion, slot, edges, along[0] * direction, along)
         recover(scratch.factor, slot, edges, ZERO, scratch.motion)
         motion_load(scratch.stiffness, scratch.motion, slot, edges, scratch.load)
+        if wp.static(size == 4):
+            load_torque(w.torque, scratch.motion, slot, edges, scratch.load)
         condense(scratch.factor, scratch.load, slot, edges, condensed)
+        if wp.static(size == 4):
+            condense_torque(w.torque, scratch.factor, scratch.load, slot, edges, condensed)
         f = border.residual(condensed, slot, wp.vec3d(ZERO, ZERO, ZERO), along[last])
         v = border.solve(border.matrix(condensed, slot, direction, w.along), -f)
         rate = border.grip_gradient(condensed, slot)
@@ -204,12 +212,11 @@ def _family(size: int, walk: type) -> wp.Function:
         slope = wp.abs(wp.dot(force, way)) / wp.length(way)
         feigned = w.worst > tolerance and slope < FEIGNED * wp.length(force) * w.worst
         w.holds = wp.where(at_goal and feigned and w.holds == 0, 1, 0)
-        if wp.static(size == 3):
-            near = at_goal and slope < NEAR * tolerance and w.holds == 0
-            if near:
-                w.refined += 1
-                way = refined_rate_of_force(w, along, scratch, slot, edges, direction)
-                way = counted(closure, way)
+        near = at_goal and slope < NEAR * tolerance and w.holds == 0
+        if near:
+            w.refined += 1
+            way = refined_rate_of_force(w, along, scratch, slot, edges, direction)
+            way = counted(closure, way)
         length = wp.length(way)
         if wp.dot(way, w.heading) < ZERO:
             length = -length

@@ -261,8 +261,8 @@ _CONDENSE = (
     const char* in = (const char*)factor.data + (size_t)slot * factor.strides[0];
 #define WROD_IN(j, a, k) (*(const double*)(in + (size_t)(D * (j) + (a)) * factor.strides[1] + \\
         (size_t)(k) * factor.strides[2]))
-    const char* loads = (const char*)load.data + (size_t)slot * load.strides[0];
-#define WROD_G(j, a) (*(const double*)(loads + (size_t)(j) * load.strides[1] + \\
+    char* loads = (char*)load.data + (size_t)slot * load.strides[0];
+#define WROD_G(j, a) (*(double*)(loads + (size_t)(j) * load.strides[1] + \\
         (size_t)(a) * load.strides[2]))
     const int n = edges;
     double rest[F], corner[D];
@@ -280,6 +280,7 @@ _CONDENSE = (
                 WROD_UNROLL for (int a = 0; a < D; ++a)
                     rest[z + a] = j + 1 < n ? WROD_G(j + 2, a) : 0.0;
                 WROD_UNROLL for (int t = 0; t < D; ++t) {{
+                    if (j == n - 1) WROD_G(j, t) = rest[x + t];
                     const double value = rest[x + t] * WROD_IN(j, t, RHS + 1);
                     WROD_UNROLL for (int m = 0; m < F; ++m)
                         if (m / D != turn || m > x + t) rest[m] -= WROD_IN(j, t, m) * value;
@@ -343,7 +344,8 @@ def make_elimination(size: int):
         edges: int,
         condensed_out: wp.array2d(dtype=wp.float64),
     ):
-        """Replace the border's right-hand side by that of another `load`; `factor` stays."""
+        """Replace the border's right-hand side by that of another `load`, of which block edges - 1
+        is left as it was eliminated; `factor` stays."""
         ...
 
     _cache[size] = (eliminate, recover, condense)
