@@ -394,8 +394,8 @@ CALLS = {
     "solve_rod_grasps": lambda: (
         wrod.solve_rod_grasps,
         dict(
-            rod=rod_model(), arc_length=[0.4], curvature=[0.0], closure="zero_tension", roll=0.0,
-            device="cpu", edge_count=16, extrapolate=True, threads=1,
+            rod=rod_model(), arc_length=[0.4], curvature=[0.0], closure="zero_tension",
+            held_roll=0.0, device="cpu", edge_count=16, extrapolate=True, threads=1,
         ),
     ),
     "plan": lambda: (

@@ -15,6 +15,7 @@ from wrod.rods.profile import Profile
 
 GREEN = rod("green-vps")
 CONTACT, CURVATURE = np.array([0.1, 0.45, 0.45]), np.array([0.0, 20.0, -40.0])
+UP = 0.5 * np.pi
 
 
 @pytest.mark.parametrize("closure", ["zero_tension", "min_force", "min_friction"])
@@ -49,14 +50,14 @@ def test_second_order_in_the_mesh():
     model = stiffer_upwards()
     reach = [
         solve_rod_grasps(
-            model, CONTACT, CURVATURE, edge_count=n, extrapolate=False, roll=0.4
+            model, CONTACT, CURVATURE, edge_count=n, extrapolate=False, held_roll=0.4
         ).position
         for n in (64, 128, 256, 512)
     ]
     error = [np.linalg.norm(p - reach[-1], axis=1) for p in reach]
     assert (np.log2(error[0] / error[1]) > 1.8).all()
-    exact = solve_rod_grasps(model, CONTACT, CURVATURE, edge_count=512, roll=0.4)
-    here = solve_rod_grasps(model, CONTACT, CURVATURE, roll=0.4)
+    exact = solve_rod_grasps(model, CONTACT, CURVATURE, edge_count=512, held_roll=0.4)
+    here = solve_rod_grasps(model, CONTACT, CURVATURE, held_roll=0.4)
     assert here.converged.all()
     assert np.abs(here.position - exact.position).max() < 1e-3 * GREEN.gravito_bending_length
 
@@ -67,7 +68,7 @@ def test_the_batch_finds_the_grasp_in_balance():
     from wrod.solvers.statics import prescribe, solve_equilibria
 
     model = replace(stiffer_upwards(), natural_twist=Profile((0.0,)))
-    grasps = solve_rod_grasps(model, CONTACT[1:2], CURVATURE[1:2], extrapolate=False)
+    grasps = solve_rod_grasps(model, CONTACT[1:2], CURVATURE[1:2], held_roll=UP, extrapolate=False)
     s, shape = grasps.node_arc_length[0], grasps.shape[0]
     first = shape[1] - shape[0]
     ghost = shape[0] - (s[1] - s[0]) * first * [1, -1, 1] / np.linalg.norm(first)
@@ -101,8 +102,8 @@ def test_a_mirrored_rod_has_mirrored_grasps():
         natural_curvature=(c1, Profile(tuple(-v for v in c2.values), c2.knots)),
         natural_twist=Profile((-1.0,)),
     )
-    left = solve_rod_grasps(model, CONTACT, CURVATURE, roll=0.3)
-    right = solve_rod_grasps(other, CONTACT, -CURVATURE, roll=-0.3)
+    left = solve_rod_grasps(model, CONTACT, CURVATURE, held_roll=UP + 0.3)
+    right = solve_rod_grasps(other, CONTACT, -CURVATURE, held_roll=UP - 0.3)
     assert np.allclose(right.position, left.position * [1, -1, 1], atol=1e-9)
     assert np.allclose(right.rotation, left.rotation * [-1, 1, -1], atol=1e-7)
     assert np.allclose(right.twist, -left.twist, atol=1e-7)
@@ -114,7 +115,8 @@ def test_a_mirrored_rod_has_mirrored_grasps():
         ({"arc_length": [2.0]}, "arc_length"),
         ({"curvature": 1e4}, "curvature"),
         ({"closure": "least"}, "closure"),
-        ({"roll": np.nan}, "roll"),
+        ({"held_roll": np.nan}, "held_roll"),
+        ({"rod": replace(GREEN, natural_curvature=(2.0, 0.0))}, "how it is held"),
     ],
 )
 def test_bad_input_is_named(change, word):
@@ -134,14 +136,14 @@ def test_where_a_bent_rod_cannot_hang_a_straighter_one_does():
     from wrod.grasps.relaxed import solve_relaxed
 
     model, contact = bent_cable(), np.linspace(0.3, 0.7, 60)
-    own = solve_rod_grasps(model, contact, 0.0, edge_count=32)
+    own = solve_rod_grasps(model, contact, 0.0, held_roll=UP, edge_count=32)
     lacking = ~own.converged
     assert 5 < lacking.sum() < 55
     # Most are in balance and stable all the same, but under the table.
     dips = own.stable & (own.residual < 1e-6 * own.force_unit)
     dips &= own.shape[..., 2].min(axis=1) < -1e-6 * own.length_unit
     assert dips.sum() > 0.5 * lacking.sum() and not own.converged[dips].any()
-    grasps, share = solve_relaxed(model, contact, np.zeros(60), roll=0.0, edge_count=32)
+    grasps, share = solve_relaxed(model, contact, np.zeros(60), held_roll=UP, edge_count=32)
     assert grasps.converged.all()
     assert (share[lacking] < 1.0).all() and (share > 0.0).all()
     assert grasps.shape[..., 2].min() >= -1e-6 * grasps.length_unit
@@ -149,8 +151,9 @@ def test_where_a_bent_rod_cannot_hang_a_straighter_one_does():
     assert np.array_equal(grasps.position[whole], own.position[whole])
     # Half as much again of a share is too much somewhere: no less was taken than needed.
     more = solve_rod_grasps(
-        model, contact, 0.0, edge_count=32, natural_share=np.minimum(1.5 * share, 1.0)
-    )
+        model, contact, 0.0, held_roll=UP, edge_count=32,
+        natural_share=np.minimum(1.5 * share, 1.0),
+    )  # fmt: skip
     assert not more.converged[lacking].all()
 
 

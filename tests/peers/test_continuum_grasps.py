@@ -106,11 +106,12 @@ def test_curved_grasp_of_the_continuum(ls, kappa, ks, natural, poisson, closure)
 
 @pytest.mark.parametrize("name", RODS)
 def test_varying_grasp_of_the_continuum(name):
-    model, at, roll = RODS[name], 0.62, 0.4
+    model, at, from_up = RODS[name], 0.62, 0.4
+    roll = from_up + 0.5 * np.pi - model.rolled(at)
 
     def solve(edges, extrapolate=False):
         return solve_rod_grasps(
-            model, at, 6.0, roll=roll, edge_count=edges, extrapolate=extrapolate
+            model, at, 6.0, held_roll=roll, edge_count=edges, extrapolate=extrapolate
         )
 
     best = solve(128, True)
@@ -119,7 +120,7 @@ def test_varying_grasp_of_the_continuum(name):
     ls, kappa = (L - at) / lgb, 6.0 * lgb
     straight = solve_grasps(ls, kappa, 2000.0)
     section = Section.of(model, at, lgb, unit)
-    rod = ContinuumGrasp(section, ls, kappa, roll + model.principal_angle)
+    rod = ContinuumGrasp(section, ls, kappa, from_up + model.principal_angle)
     rod.start(straight.arc_length[0], straight.shape[0], straight.force[0])
     rod.continued()
     exact = rod.read(rod.closed("zero_tension", 0.0))

@@ -23,20 +23,20 @@ _LESS, _ATTEMPTS = 0.9, 6
 
 
 def solve_relaxed(
-    model: RodModel, arc_length: np.ndarray, curvature: np.ndarray, *, roll, **options: Any
+    model: RodModel, arc_length: np.ndarray, curvature: np.ndarray, *, held_roll, **options: Any
 ) -> tuple[RodGrasps, np.ndarray]:
     """Grasps at contacts in the order in which they are laid, and the share of its natural
     curvature that the rod has in each, (n,): 1 where its own grasp exists.
 
     Args:
-        model, arc_length, curvature, roll, options: see `solve_rod_grasps`.
+        model, arc_length, curvature, held_roll, options: see `solve_rod_grasps`.
     """
-    roll = np.broadcast_to(np.asarray(roll, dtype=np.float64), arc_length.shape)
+    held = np.broadcast_to(np.asarray(held_roll, dtype=np.float64), arc_length.shape)
 
     def solve(share: np.ndarray, rows: np.ndarray) -> RodGrasps:
         return solve_rod_grasps(
             model, arc_length[rows], curvature[rows],
-            roll=roll[rows], natural_share=share[rows], **options,
+            held_roll=held[rows], natural_share=share[rows], **options,
         )  # fmt: skip
 
     share, every = np.ones(len(arc_length)), np.arange(len(arc_length))

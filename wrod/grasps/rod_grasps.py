@@ -85,7 +85,7 @@ class RodGrasps:
     GraspError,
     arc_length=arguments.array((), (None,)),
     curvature=arguments.array((), (None,)),
-    roll=arguments.array((), (None,), finite=False),
+    held_roll=arguments.optional(arguments.array((), (None,), finite=False)),
     natural_share=arguments.array((), (None,)),
     edge_count=arguments.whole(4, 4096),
     threads=arguments.optional(arguments.whole(0, 4096)),
@@ -96,7 +96,7 @@ def solve_rod_grasps(
     curvature,
     *,
     closure: str = "zero_tension",
-    roll: np.ndarray | float = 0.0,
+    held_roll: np.ndarray | float | None = None,
     natural_share: np.ndarray | float = 1.0,
     device: str | None = None,
     edge_count: int = EDGE_COUNT,
@@ -110,25 +110,24 @@ def solve_rod_grasps(
         arc_length: (n,) arc length of the contacts, from the end that is laid first [m].
         curvature: signed curvature of the pattern there [1/m], (n,) or one for all.
         closure: "zero_tension", "min_force" or "min_friction".
-        roll: angle of the laid rod about its tangent at the contact, from up to its first material
-            director m_1, (n,) or one for all [rad]; positive leans to the right. It is that of
-            `wrod.plan`, which counts from left towards up, less a quarter turn.
+        held_roll: the roll that the rod is held at, as `Trajectory.roll` and `wrod.plan` count it:
+            of its first material director, where the rod begins, from left towards up, (n,) or one
+            for all [rad]. A rod that is curved at rest or bends more easily to one side needs it.
         natural_share: of the rod's natural curvature, (n,) or one for all: with less than 1 the
             grasps are those of a rod that is closer to straight (see `wrod.grasps.relaxed`).
         device, edge_count, extrapolate, threads: see `wrod.solve_grasps`.
 
     Raises:
         GraspError: a contact is not on the rod, a value is not finite or, in L_gb, outside what can
-            be solved, an unknown closure, or the rod's shape depends on how it was bent before.
+            be solved, an unknown closure, no `held_roll` of a rod that has sides, or the rod's
+            shape depends on how it was bent before.
     """
     number = closure_number(closure)
     if edge_count < 16 or edge_count % 4:
         raise GraspError(f"edge_count is {edge_count}; use a multiple of four from 16")
-    roll = np.asarray(roll, dtype=np.float64)
-    if not np.isfinite(roll).all() or roll.shape not in ((), (1,), np.shape(arc_length)):
-        raise GraspError(f"roll is {roll!r:.80}; give an angle in radians, or one for each contact")
     model = _at_rest(models_of(rod)[0])
     contact = _contacts(model, arc_length, curvature)
+    roll = _from_up(model, contact, held_roll)
     lgb, bending = _units(model)
     stretch = mesh_arrays(model, np.linspace(0.0, model.length, 257))["stretching_stiffness"].mean()
     scaled = np.asarray(curvature, dtype=np.float64) * lgb
@@ -144,11 +143,12 @@ def solve_rod_grasps(
         arrays = _on_meshes(model, contact, length, edges, lgb, bending)
         return arrays | {"natural_curvature": arrays["natural_curvature"] * share[:, None, None]}
 
-    turned = np.broadcast_to(roll + model.principal_angle, length.shape).copy()
     options = GraspOptions(
         number, resolve_device(device), edge_count, extrapolate, True, True, threads, None
     )
-    grasps = Grasps(**solve_general(length, kappa, ratio, rods, turned, options))
+    grasps = Grasps(
+        **solve_general(length, kappa, ratio, rods, roll + model.principal_angle, options)
+    )
     return _in_si(grasps, contact, kappa, lgb, bending / lgb**2)
 
 
@@ -163,6 +163,24 @@ def _contacts(model: RodModel, arc_length, curvature) -> np.ndarray:
     if contact.ndim != 1 or not ((contact >= 0.0) & (contact < model.length)).all():
         raise GraspError(f"arc_length must be (n,) from 0 to below the rod's {model.length:g} m")
     return contact
+
+
+def _from_up(model: RodModel, contact: np.ndarray, held_roll) -> np.ndarray:
+    """(n,) angle from up to the first material director at the contacts [rad]."""
+    if held_roll is None:
+        if model.has_sides:
+            raise GraspError(
+                "this rod is curved at rest or bends more easily to one side, so that it matters "
+                "how it is held; give held_roll, the angle from left towards up, as Trajectory.roll"
+            )
+        return np.zeros(contact.shape)
+    held = np.asarray(held_roll, dtype=np.float64)
+    if not np.isfinite(held).all() or held.shape not in ((), (1,), contact.shape):
+        raise GraspError(
+            f"held_roll is {held!r:.80}; give an angle in radians, or one for each contact"
+        )
+    # Where the rod is twisted at rest its first director turns along the laid part.
+    return held + model.rolled(contact) - 0.5 * np.pi
 
 
 def _in_si(grasps: Grasps, contact, curvature, lgb: float, force: float) -> RodGrasps:

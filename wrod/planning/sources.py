@@ -119,19 +119,18 @@ def _of_varying_rod(inputs: GraspInputs) -> Grasps:
     lgb = model.gravito_bending_length
     force = model.mean_bending_stiffness / lgb**2
     at = np.maximum(model.length - inputs.suspended_length * lgb, 0.0)
-    # Where the rod is twisted at rest its first director turns along the laid part.
-    rolled = model.rolled(at)
     grasps, share = solve_relaxed(
         model,
         at,
         inputs.curvature / lgb,
         closure=inputs.closure,
-        roll=inputs.roll + rolled - 0.5 * np.pi,
+        held_roll=inputs.roll,
         device=inputs.device,
     )
     if watch is not None:
         watch(count, count)
     # The grip holds the rod at one roll: its y axis is what was to the left where the rod begins.
+    rolled = model.rolled(at)
     turn = Rotation.from_rotvec(rolled[:, None] * [1.0, 0.0, 0.0])
     return Grasps(
         grasps.position / lgb,
