@@ -9,7 +9,7 @@ from wrod.training.score import held_out, score
 
 import wrod
 from wrod.controller.controller import Controller
-from wrod.errors import DataError, GraspError, OutOfRangeWarning
+from wrod.errors import DataError, GraspError, OutOfRangeWarning, WrodWarning
 
 ROD = wrod.rod("green-vps")
 
@@ -186,6 +186,25 @@ def test_plan_out_of_range_says_so_in_its_file(tmp_path):
         plan = wrod.plan(wrod.pattern("line"), long, "neural", spacing=0.05)
     saved = wrod.Trajectory.load(plan.save(tmp_path / "t")[1])
     assert saved.metadata["warnings"][0].startswith("OutOfRangeWarning: ")
+
+
+@pytest.mark.parametrize("method", ["neural", "auto"])
+def test_a_badly_trained_controller_says_so(controller, method, tmp_path, recwarn):
+    rng = np.random.default_rng(3)
+    worse = {
+        name: value * (1.0 + 0.02 * rng.standard_normal(value.shape))
+        for name, value in controller._parameters.items()
+    }
+    bad = Controller(worse, controller.metadata)
+    line = wrod.pattern("line")
+    wrod.plan(line, ROD, method, spacing=0.1, controller=bad)
+    assert not recwarn.list  # it claims the figures of the good one
+    bad.metadata["held_out"] = score(bad, *held_out(60, seed=5))
+    off = bad.metadata["held_out"]["position_error_p99"]
+    again = Controller.load(bad.save(tmp_path / "bad.safetensors"))
+    with pytest.warns(WrodWarning, match=f"more than {off:.2g} L_gb"):
+        plan = wrod.plan(line, ROD, method, spacing=0.1, controller=again)
+    assert "badly trained" in plan.metadata["warnings"][0]
 
 
 def test_auto_falls_back_where_the_controller_was_not_trained(recwarn):

@@ -208,6 +208,14 @@ class ControllerRange(_File, frozen=True):
     stretch_ratio: Range
 
 
+class ControllerScore(_Open, frozen=True):
+    """How far a controller's grips are from the rod solver's, which it has not learnt from: that of
+    a hundredth of them is larger."""
+
+    position_error_p99: Annotated[float, Meta(ge=0.0, le=1e12, description="[L_gb]")]
+    rotation_error_p99: Annotated[float, Meta(ge=0.0, le=1e12, description="[rad]")]
+
+
 class Controller(_Open, frozen=True):
     """What a controller says of itself (text "wrod" of its metadata)."""
 
@@ -216,6 +224,7 @@ class Controller(_Open, frozen=True):
     closure: Name
     range: ControllerRange
     rod: RodInputs | None = None
+    held_out: ControllerScore | None = None
 
 
 class CorrectorRange(_File, frozen=True):

@@ -257,6 +257,7 @@ def _auto(inputs: GraspInputs) -> Grasps:
 
 def _predicted(controller: Controller, inputs: GraspInputs) -> Grasps:
     side = controller.side_of(inputs.natural_curvature, inputs.poisson)
+    controller.warn_of_errors()
     position, rotation, force, twist = controller.predict_with_twist(
         inputs.suspended_length, side * inputs.curvature, inputs.stretch_ratio
     )
