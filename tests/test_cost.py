@@ -56,13 +56,13 @@ def test_what_the_machine_has_not_needs_force(one, says, capsys, tmp_path, monke
     [
         "dataset --size 1000000000 --device cpu",
         "train --generate 500000000 --device cpu",
-        "deploy line --rod green-vps --method intuitive --trials 10000 --speed 0.001 --device cpu",
+        "deploy line --rod green-vps --method intuitive --trials 10000 --speed 0.0005 --device cpu",
         "bench table3 --trials 10000 --device cpu",
         "bench applications --trials 10000 --case reef --device cpu",
     ],
 )
 def test_commands_refuse_weeks_before_they_work(words, tmp_path, monkeypatch):
-    monkeypatch.setattr(cost, "usable_cores", lambda: 2)  # many would end it within a week
+    monkeypatch.setattr(cost, "usable_cores", lambda: 1)  # many would end it within a week
     out = tmp_path / "out"
     result = refused("about", *[*words.split(), "--out", str(out)])
     assert "--force" in result.output

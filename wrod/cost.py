@@ -14,7 +14,9 @@ from wrod.telling import asked, flag
 
 force_option = flag("force", "Begin although it needs more than this machine has.")
 # Of one core of a server's processor; docs/measured.md has them.
-GRASPS_PER_SECOND, SENSITIVITIES_COST, NODE_STEP = 2000.0, 3.0, 2.3e-5
+GRASPS_PER_SECOND, SENSITIVITIES_COST = 2000.0, 3.0
+# A node's part of a time step, of rods that are laid and of such as touch themselves.
+LAID_NODE_STEP, KNOTTED_NODE_STEP = 4e-6, 2.3e-5
 APPLICATION = {"S cable": 25.0, "U cable": 15.0, "trefoil": 6.0, "reef": 35.0}
 EQUILIBRIUM, BOUNDARY = 4e-3, 0.8
 IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
@@ -143,18 +145,18 @@ def training(steps: int, batch: int, width: int, depth: int, rows: int, *, devic
 def deployments(
     trials: int, length: float, *, speed: float, step: float, spacing: float, device: str = "cpu"
 ) -> Cost:
-    """Of laying rods of a length [m] in simulation."""
-    nodes, steps = length / spacing + 100.0, 1.5 * length / speed / step
-    seconds = trials * nodes * steps * NODE_STEP
+    """Of laying a length [m] of rods in simulation; beside it hangs a part of each."""
+    nodes, steps = length / spacing + 40.0, 1.5 * length / speed / step
+    seconds = trials * nodes * steps * LAID_NODE_STEP
     memory = nodes * 4096.0 * trials
-    rate = usable_cores() if device == "cpu" else 600.0
+    rate = usable_cores() if device == "cpu" else 100.0
     return Cost(seconds / rate, memory, 1e5 * trials)
 
 
 def overhand_knots(count: int, loosest: float, tightest: float) -> Cost:
     """Of pulling knots tight, from one radius of the loop to the other, in radii of the rod."""
     nodes, steps = 7.0 * loosest, 500.0 + 15.0 * loosest + 27.0 * (loosest - tightest)
-    return Cost(count * nodes * steps * NODE_STEP, 7e4 * count * nodes)
+    return Cost(count * nodes * steps * KNOTTED_NODE_STEP, 7e4 * count * nodes)
 
 
 def pictures(count: int, width: int, height: int, samples: int = 4) -> Cost:

@@ -45,7 +45,7 @@ def command(
     file = laying.fixtures_file
     fixtures = None if file is None else Fixtures.load(file)
     path, curve = planned.path(curve, rod, device)
-    laying.settle(rod, path, device)
+    laying.settle(path, device)
     deployments = laying.lay(curve, rod, path, fixtures, device, planned.another_rod)
     written = _write(out, laying, deployments, path, curve, rod, fixtures)
     placed = None

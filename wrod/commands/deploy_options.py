@@ -94,10 +94,10 @@ class Laying:
 
         return self.speed or pace_of(path) or _PACE
 
-    def settle(self, rod, path, device: str) -> None:
+    def settle(self, path, device: str) -> None:
         """Say what it costs, and refuse what costs too much."""
         how = {"speed": self.pace(path), "step": 0.01, "spacing": 0.005}
-        work = cost.deployments(self.trials, rod.length, device=device, **how)
+        work = cost.deployments(self.trials, float(path.arc_length[-1]), device=device, **how)
         remedy = "ask for fewer --trials or a larger --speed"
         cost.settle(work, f"{self.trials} deployments", remedy)
 

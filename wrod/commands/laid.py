@@ -34,10 +34,12 @@ class _Fit:
         if self.iterations == 0 and self.out is not None:
             raise DataError("--out is for the fitted rod, and --iterations 0 fits none; drop one")
 
-    def settle(self, rod) -> None:
-        """Say what the deployments cost that are simulated: one, and four for each step."""
-        count = 1 + 4 * self.iterations
-        work = cost.deployments(count, rod.length, speed=0.02, step=0.01, spacing=0.005)
+    def settle(self, path) -> None:
+        """Say what the deployments cost that are simulated: at the end one, and for each step one
+        and one for each parameter."""
+        count = 1 + (4 if self.fit_friction else 3) * self.iterations
+        length = float(path.arc_length[-1])
+        work = cost.deployments(count, length, speed=0.02, step=0.01, spacing=0.005)
         cost.settle(work, f"{count} deployments", "ask for fewer --iterations")
 
     def run(self, laid, rod, path, device: str):
@@ -119,7 +121,7 @@ def command(
         "left_mm": left.tolist(),
     }
     if fit.iterations > 0:
-        fit.settle(rod_options.read())
+        fit.settle(path)
         found = fit.run(laid, rod_options.read(), path, device)
         figures |= {
             "verdict": found.verdict,
