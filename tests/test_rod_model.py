@@ -134,6 +134,12 @@ def test_what_an_earlier_version_wrote_is_read(tmp_path):
         model = RodModel.of(wrod.load_rod(tmp_path / "old.json"))
     assert model.gravito_bending_length == pytest.approx(0.05)
     assert [float(c(0.3)) for c in model.natural_curvature] == [1.0, 0.0]
+    # An internal damping of 0 is one that nobody had measured in a file of then, and none now.
+    undamped = replace(RodModel.of(wrod.rod("rope")), internal_damping=0.0)
+    path = wrod.save_rod(undamped, tmp_path / "undamped.json")
+    assert wrod.load_rod(path) == undamped
+    path.write_text(path.read_text().replace("wrod-rod-model-3", "wrod-rod-model-2"))
+    assert RodModel.of(wrod.load_rod(path)).internal_damping is None
 
 
 @pytest.mark.parametrize(

@@ -199,7 +199,7 @@ class RodModel(RodTransformations):
             "natural_twist": self.natural_twist != _NONE,
             "point_masses": bool(self.point_masses),
             "law": not isinstance(self.law, Linear),
-            "internal_damping": bool(self.internal_damping),
+            "internal_damping": self.internal_damping is not None,
             "air_damping": self.air_damping > 0.0,
             "quadratic_drag": self.quadratic_drag > 0.0,
             "bending_stiffness": not (first.is_constant and first == second),

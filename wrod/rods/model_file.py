@@ -18,8 +18,10 @@ from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 
-MODEL_FORMAT = "wrod-rod-model-2"
+MODEL_FORMAT = "wrod-rod-model-3"
 MATERIAL_FORMAT = "wrod-rod-1"
+# Had no word for an internal damping that nobody had measured, and said 0.
+_BEFORE_FORMAT = "wrod-rod-model-2"
 # A uniform rod, and a list of effects of which its numbers carry the first three.
 _OLD_FORMAT = "wrod-rod-model-1"
 _CARRIED = ("stiffness", "density", "natural_curvature")
@@ -130,7 +132,7 @@ def load_rod(
     instead = {"radius": radius, "length": length}
     instead = {key: value for key, value in instead.items() if value is not None}
     try:
-        if content.get("format") != MODEL_FORMAT:
+        if content.get("format") not in (MODEL_FORMAT, _BEFORE_FORMAT):
             return _material(path, content, instead)
         model = _new(path, content, instead)
         return model if model.not_uniform() else model.material()
@@ -140,10 +142,12 @@ def load_rod(
 
 
 def _new(path, content: dict, instead: dict) -> RodModel:
-    found = content.get("found")
+    found, before = content.get("found"), content["format"] == _BEFORE_FORMAT
     content = {k: v for k, v in content.items() if k not in ("format", "found")}
     assumed = content.pop("assumed", [])
     model = model_of(content)
+    if before and not model.internal_damping:
+        model = replace(model, internal_damping=None)
     aside = found.get("set_aside") if isinstance(found, dict) else None
     aside = [name for name in aside if isinstance(name, str)] if isinstance(aside, list) else []
     said = [f"{', '.join(aside)!s:.200} set aside, as it belongs to the measurement"] * bool(aside)
@@ -222,7 +226,7 @@ def _warn(path, said: list[str]) -> None:
 
 def _read(path) -> dict:
     content = read_json(path, dict[str, Any], _WHAT, error=RodError)
-    if content.get("format") == MODEL_FORMAT:
+    if content.get("format") in (MODEL_FORMAT, _BEFORE_FORMAT):
         # Every entry of the right kind, named if not; what they mean is for `RodModel`.
         text = json.dumps(content)
         return decode_labels(text, schemas.RodModelFile, str(path), _WHAT, error=RodError)
