@@ -608,3 +608,29 @@ def test_what_is_no_number_is_refused_by_name(name):
     state.body_q.assign(model.body_q)
     solver.step(state, state, None, None, 1e-3)
     assert np.isfinite(state.der.node_q.numpy()).all()
+
+
+def test_rods_that_were_changed_behind_the_builder_are_named():
+    def built():
+        builder = newton.ModelBuilder()
+        wrod.SolverDER.register_custom_attributes(builder)
+        for y in (0.0, 0.1):
+            points = np.linspace([0.0, y, 1.0], [0.3, y, 1.0], 9)
+            wrod.SolverDER.add_rod(builder, points, ROD, start="clamped")
+        wrod.SolverDER.attach(builder, 0, -1, node=5)
+        return builder
+
+    assert wrod.SolverDER(built().finalize(device="cpu")).rod_count == 2
+    for name in ("rod_radius", "rod_node_count", "node_q", "hold_rod"):
+        model, builder = built().finalize(device="cpu"), built()
+        delattr(model.der, name)
+        with pytest.raises(RodError, match=f"has lost the attribute der:{name}"):
+            wrod.SolverDER(model)
+        del builder.custom_attributes[f"der:{name}"]
+        with pytest.raises(RodError, match="does not know rods"):
+            wrod.SolverDER.attach(builder, 0, -1, node=3)
+    for name, wrong in (("rod_node_count", (9, 10)), ("rod_first_edge", (0, 9))):
+        model = built().finalize(device="cpu")
+        getattr(model.der, name).assign(np.array(wrong, dtype=np.int32))
+        with pytest.raises(RodError, match="are not where"):
+            wrod.SolverDER(model)

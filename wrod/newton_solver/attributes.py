@@ -51,9 +51,47 @@ def _moved(name: str, turn_only: bool):
     return move
 
 
-_MOVE_POINTS = _moved("node", turn_only=False)
-_TURN_NODES = _moved("node", turn_only=True)
-_TURN_EDGES = _moved("edge", turn_only=True)
+STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
+_WHOLE, _NUMBER, _BODY = wp.int32, wp.float64, {"default": -1, "references": "body"}
+_ATTRIBUTES: list[tuple[str, str, Any, dict[str, Any]]] = [
+    (ROD, "rod_world", _WHOLE, {"default": -1, "references": "world"}),
+    (ROD, "rod_first_node", _WHOLE, {"references": NODE}),
+    (ROD, "rod_first_edge", _WHOLE, {"references": EDGE}),
+    (ROD, "rod_node_count", _WHOLE, {}),
+    (ROD, "rod_body", _WHOLE, _BODY),
+    (ROD, "rod_visible", _WHOLE, {}),
+    (ROD, "rod_touches_rods", _WHOLE, {"default": 1}),
+    (ROD, "rod_start_hold", _WHOLE, {}),
+    (ROD, "rod_start_body", _WHOLE, _BODY),
+    (ROD, "rod_end_hold", _WHOLE, {}),
+    (ROD, "rod_end_body", _WHOLE, _BODY),
+    (ROD, "rod_radius", _NUMBER, {}),
+    (ROD, "rod_air_damping", _NUMBER, {}),
+    (ROD, "rod_internal_damping", _NUMBER, {}),
+    (EDGE, "edge_rest_length", _NUMBER, {}),
+    (EDGE, "edge_stretching_stiffness", _NUMBER, {}),
+    (HOLD, "hold_rod", _WHOLE, {"references": ROD}),
+    (HOLD, "hold_node", _WHOLE, {}),
+    (HOLD, "hold_kind", _WHOLE, {}),
+    (HOLD, "hold_body", _WHOLE, _BODY),
+    (NODE, "node_mass", _NUMBER, {}),
+    (NODE, "node_bending_stiffness", wp.vec2d, {}),
+    (NODE, "node_twisting_stiffness", _NUMBER, {}),
+    (NODE, "node_natural_curvature", wp.vec2d, {}),
+    (NODE, "node_natural_twist", _NUMBER, {}),
+    (NODE, "node_softening", wp.vec2d, {}),
+    (NODE, "node_inelastic", wp.vec4d, {}),
+    (NODE, "node_q", wp.vec3d, {"reference_value_transformer": _moved("node", turn_only=False)}),
+    (NODE, "node_qd", wp.vec3d, {"reference_value_transformer": _moved("node", turn_only=True)}),
+    (NODE, "node_contact_f", wp.vec3d, {}),
+    (
+        EDGE,
+        "edge_director",
+        wp.vec3d,
+        {"reference_value_transformer": _moved("edge", turn_only=True)},
+    ),
+    (EDGE, "edge_spin", _NUMBER, {}),
+]
 
 
 def register(builder: ModelBuilder) -> None:
@@ -62,51 +100,13 @@ def register(builder: ModelBuilder) -> None:
     for name in ("rod", "node", "edge", "hold"):
         builder.add_custom_frequency(ModelBuilder.CustomFrequency(name=name, namespace=NAMESPACE))
     model, state = Model.AttributeAssignment.MODEL, Model.AttributeAssignment.STATE
-
-    def add(frequency, name, dtype, *, assignment=model, default=None, references=None, move=None):
+    for frequency, name, dtype, more in _ATTRIBUTES:
+        how = {"assignment": state if name in STATE else model, **more}
         builder.add_custom_attribute(
             ModelBuilder.CustomAttribute(
-                name=name,
-                namespace=NAMESPACE,
-                frequency=frequency,
-                dtype=dtype,
-                assignment=assignment,
-                default=default,
-                references=references,
-                reference_value_transformer=move,
+                name=name, namespace=NAMESPACE, frequency=frequency, dtype=dtype, **how
             )
         )
-
-    add(ROD, "rod_world", wp.int32, default=-1, references="world")
-    add(ROD, "rod_first_node", wp.int32, references=NODE)
-    add(ROD, "rod_first_edge", wp.int32, references=EDGE)
-    add(ROD, "rod_node_count", wp.int32)
-    add(ROD, "rod_body", wp.int32, default=-1, references="body")
-    add(ROD, "rod_visible", wp.int32)
-    add(ROD, "rod_touches_rods", wp.int32, default=1)
-    for end in ("start", "end"):
-        add(ROD, f"rod_{end}_hold", wp.int32)
-        add(ROD, f"rod_{end}_body", wp.int32, default=-1, references="body")
-    for name in ("radius", "air_damping", "internal_damping"):
-        add(ROD, f"rod_{name}", wp.float64)
-    for name in ("rest_length", "stretching_stiffness"):
-        add(EDGE, f"edge_{name}", wp.float64)
-    add(HOLD, "hold_rod", wp.int32, references=ROD)
-    add(HOLD, "hold_node", wp.int32)
-    add(HOLD, "hold_kind", wp.int32)
-    add(HOLD, "hold_body", wp.int32, default=-1, references="body")
-    add(NODE, "node_mass", wp.float64)
-    add(NODE, "node_bending_stiffness", wp.vec2d)
-    add(NODE, "node_twisting_stiffness", wp.float64)
-    add(NODE, "node_natural_curvature", wp.vec2d)
-    add(NODE, "node_natural_twist", wp.float64)
-    add(NODE, "node_softening", wp.vec2d)
-    add(NODE, "node_inelastic", wp.vec4d)
-    add(NODE, "node_q", wp.vec3d, assignment=state, move=_MOVE_POINTS)
-    add(NODE, "node_qd", wp.vec3d, assignment=state, move=_TURN_NODES)
-    add(NODE, "node_contact_f", wp.vec3d, assignment=state)
-    add(EDGE, "edge_director", wp.vec3d, assignment=state, move=_TURN_EDGES)
-    add(EDGE, "edge_spin", wp.float64, assignment=state)
 
 
 def add_rod(
@@ -127,11 +127,7 @@ def add_rod(
     Raises:
         RodError: the builder knows no rods, or no such body.
     """
-    if not builder.has_custom_attribute("der:node_q"):
-        raise RodError(
-            "the builder does not know rods; call SolverDER.register_custom_attributes(builder) "
-            "before SolverDER.add_rod"
-        )
+    _refuse_stranger(builder)
     for name, (kind, body) in zip(("start", "end"), held, strict=True):
         if kind not in HOLDS:
             raise RodError(f"{name} is {kind!r}; use one of {', '.join(HOLDS)}")
@@ -197,6 +193,7 @@ def _add_nodes(builder: ModelBuilder, rod: MeshedRod) -> None:
 
 def attach(builder: ModelBuilder, rod: int, body: int, node: int, kind: str) -> None:
     """`SolverDER.attach`, which documents the arguments."""
+    _refuse_stranger(builder)
     count = builder._custom_frequency_counts.get(ROD, 0)
     if whole(0, count - 1)(rod):
         raise RodError(f"rod is {rod!r}; give the index of one of the builder's {count} rods")
@@ -223,6 +220,15 @@ def attach(builder: ModelBuilder, rod: int, body: int, node: int, kind: str) -> 
             "der:hold_body": int(body),
         }
     )
+
+
+def _refuse_stranger(builder: ModelBuilder) -> None:
+    """Refuse a builder that does not know all of what rods are."""
+    if not all(builder.has_custom_attribute(f"{NAMESPACE}:{name}") for _, name, *_ in _ATTRIBUTES):
+        raise RodError(
+            "the builder does not know rods; call SolverDER.register_custom_attributes(builder) "
+            "before SolverDER.add_rod"
+        )
 
 
 def _held_nodes(builder: ModelBuilder, rod: int) -> set[int]:
@@ -279,12 +285,31 @@ def require(model: newton.Model):
     """The model's namespace of rods.
 
     Raises:
-        RodError: the model has none.
+        RodError: the model has none, or what says where they are was changed.
     """
-    attributes = getattr(model, NAMESPACE, None)
-    if attributes is None or not hasattr(attributes, "rod_node_count"):
+    rods = getattr(model, NAMESPACE, None)
+    held = {name for kind, name, *_ in _ATTRIBUTES if kind == HOLD}
+    there = {name: getattr(rods, name, None) is not None for _, name, *_ in _ATTRIBUTES}
+    if not any(there.values()):
         raise RodError(
             "the model has no rods; call SolverDER.register_custom_attributes(builder) and "
             "SolverDER.add_rod(builder, ...) before builder.finalize()"
         )
-    return attributes
+    if not any(there[name] for name in held):  # none where nothing holds a rod in its middle
+        there |= dict.fromkeys(held, True)
+    for name in [name for name, is_there in there.items() if not is_there]:
+        raise RodError(f"the model has lost the attribute der:{name} of its rods; build it anew")
+    counts, nodes = rods.rod_node_count.numpy(), len(rods.node_q)
+    ends = np.stack(
+        [rods.rod_first_node.numpy() + counts, rods.rod_first_edge.numpy() + counts - 1]
+    )
+    if (counts < 2).any() or not (
+        np.array_equal(np.sort(ends[0]), np.cumsum(counts[np.argsort(ends[0])]))
+        and np.array_equal(np.sort(ends[1]), np.cumsum(counts[np.argsort(ends[1])] - 1))
+        and counts.sum() == nodes and len(rods.edge_rest_length) == nodes - len(counts)
+    ):  # fmt: skip
+        raise RodError(
+            "the model's rods are not where der:rod_node_count, rod_first_node and rod_first_edge "
+            "have them; leave these as SolverDER.add_rod wrote them"
+        )
+    return rods

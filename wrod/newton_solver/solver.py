@@ -30,7 +30,6 @@ from wrod.newton_solver.tapes import off_tape
 from wrod.rods.device import OnDevice
 from wrod.solvers.dynamics import SCHEMES
 
-_STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
 # Steps after which a body that does not get its rods' forces is spoken of.
 _PATIENCE = 3
 _PASSED_ON = ("body_q", "body_qd", "joint_q", "joint_qd", "particle_q", "particle_qd")
@@ -166,7 +165,7 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         self._bodies = bodies
         self._holds = Holds(model)
         self._own = choose_bodies(model, self._holds, bodies)
-        self._initial = {name: wp.clone(getattr(der, name)) for name in _STATE}
+        self._initial = {name: wp.clone(getattr(der, name)) for name in attributes.STATE}
         self._mourned = np.zeros(self.rod_count, dtype=bool)
         self._poses = tuple(wp.clone(model.body_q, requires_grad=False) for _ in range(2))
         self._force, self._torque = (
