@@ -174,7 +174,7 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
     height = figure.get_figheight()
     grid = figure.add_gridspec(
         2 * len(effects), count, height_ratios=[1.0, 0.75] * len(effects),
-        left=0.45 / size[0] + 0.03, right=0.99, top=1 - top / height, bottom=0.035,
+        left=0.45 / size[0] + 0.03, right=0.99, top=1 - top / height, bottom=0.28 / height,
         hspace=0.2, wspace=0.12,
     )  # fmt: skip
     for k, effect in enumerate(effects):
