@@ -634,3 +634,19 @@ def test_rods_that_were_changed_behind_the_builder_are_named():
         getattr(model.der, name).assign(np.array(wrong, dtype=np.int32))
         with pytest.raises(RodError, match="are not where"):
             wrod.SolverDER(model)
+    for name, wrong in (
+        ("rod_end_body", 10**6),
+        ("hold_kind", -7),
+        ("node_mass", 0),
+        ("rod_radius", -1),
+    ):
+        model = built().finalize(device="cpu")
+        array = getattr(model.der, name)
+        array.assign(np.full_like(array.numpy(), wrong))
+        with pytest.raises(RodError, match=f"der:{name} holds what"):
+            wrod.SolverDER(model)
+    model = built().finalize(device="cpu")
+    solver, state = wrod.SolverDER(model), model.state()
+    del state.der.edge_director
+    with pytest.raises(RodError, match="does not hold this model's rods"):
+        solver.step(state, state, None, None, 1e-3)

@@ -15,6 +15,7 @@ FREE, PINNED, CLAMPED = 0, 1, 2
 HOLDS = {"free": FREE, "pinned": PINNED, "clamped": CLAMPED}
 NAMESPACE = "der"
 ROD, NODE, EDGE, HOLD = "der:rod", "der:node", "der:edge", "der:hold"
+_ABOVE_ZERO = ("rod_radius", "edge_rest_length", "node_mass")
 _COLOR = (0.16, 0.42, 0.62)
 
 
@@ -312,4 +313,19 @@ def require(model: newton.Model):
             "the model's rods are not where der:rod_node_count, rod_first_node and rod_first_edge "
             "have them; leave these as SolverDER.add_rod wrote them"
         )
+    for kind, name, dtype, more in _ATTRIBUTES:
+        array = getattr(rods, name, None)
+        if array is None:  # no holds
+            continue
+        values, size = array.numpy(), {ROD: len(counts), NODE: nodes, EDGE: nodes - len(counts)}
+        bodies = [-1, model.body_count] if more is _BODY else [0, len(HOLDS)]
+        indices = name.endswith(("body", "hold", "kind"))
+        if (
+            array.dtype is not dtype
+            or (kind != HOLD and len(values) != size[kind])
+            or not np.isfinite(values).all()
+            or (indices and ((values < bodies[0]) | (values >= bodies[1])).any())
+            or (name in _ABOVE_ZERO and not (values > 0.0).all())
+        ):
+            raise RodError(f"the model's der:{name} holds what no rod of it has; build it anew")
     return rods

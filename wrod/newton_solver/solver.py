@@ -253,8 +253,9 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
             self.validate_observables(observables, contacts)
         moved = state_in if moved is None else moved
         for state in (state_in, state_out):
-            nodes = getattr(getattr(state, "der", None), "node_q", None)
-            if nodes is None or nodes.shape != self.model.der.node_q.shape:
+            rods = getattr(state, "der", None)
+            shapes = [getattr(getattr(rods, name, None), "shape", None) for name in self._initial]
+            if shapes != [array.shape for array in self._initial.values()]:
                 raise RodError("the state does not hold this model's rods; call model.state()")
         device = self.model.device
         if device.is_cpu and not device.is_capturing:
