@@ -144,7 +144,8 @@ def wrong(end: End, left: list[str], around, quick: bool = False) -> str | None:
     devices = {path for path in DEVICES if not stat.S_ISCHR(os.stat(path).st_mode)}
     if devices:
         return f"replaced {devices}"
-    if end.code == -signal.SIGKILL and not worked(end):
+    timed = isinstance(around, str) and "ulimit -t" in around  # it is Linux that kills then
+    if end.code == -signal.SIGKILL and not worked(end) and not timed:
         return f"hangs, or took all memory: {end.said[-300:]}"
     if worked(end):
         # It was taken, and works; but no variable makes work of what is quick.
@@ -156,8 +157,7 @@ def wrong(end: End, left: list[str], around, quick: bool = False) -> str | None:
     if isinstance(around, str):  # there may be nobody to tell, and no room to tell it in
         if "Traceback" in end.said:
             return f"exit {end.code}: {end.said[-500:]}"
-        fine = end.code in (0, 1, 2, 3, 137, 141)
-        fine |= "ulimit -s" in around and end.code in (-signal.SIGSEGV, 139)
+        fine = end.code in (0, 1, 2, 3, 137, 141) or timed
         return None if fine else f"exit {end.code}: {end.said[-500:]}"
     if end.code == 0:
         return f"says {end.said[-300:]}" if "Traceback" in end.said else None

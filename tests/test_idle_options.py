@@ -60,6 +60,13 @@ def test_fewer_addresses_than_scenes_need_are_refused(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_small_stack_is_refused(monkeypatch):
+    import resource
+
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (2**18, 2**18))
+    refused("may have a stack of 256 KiB, and 512 are needed; raise that limit (ulimit -s)", "rods")
+
+
 def test_a_controllers_test_is_part_of_its_cost(tmp_path, monkeypatch):
     monkeypatch.setattr("wrod.machine.available_memory", lambda: 10.0 * 2**30)
     words = ["train", "--generate", 100, "--steps", 1, "--width", 8, "--batch", 8]

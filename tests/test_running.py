@@ -507,6 +507,19 @@ def test_an_empty_or_relative_place_of_kernels_is_none(tmp_path, place):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_openusd_draws_of_itself_stays_out_of_the_working_folder(tmp_path):
+    pytest.importorskip("pxr")
+    code = "from pxr import Usd; Usd.Stage.CreateInMemory().DefinePrim('/a')"
+    settled = "from wrod.commands.surroundings import settle_variables as s; s(); " + code
+    for one, files in ((code, True), (settled, False)):
+        call = [sys.executable, "-c", one]
+        around = os.environ | {"TF_DEBUG": "*"}
+        subprocess.run(call, cwd=tmp_path, env=around, check=True, capture_output=True)
+        assert any(tmp_path.iterdir()) == files
+        for file in tmp_path.iterdir():
+            file.unlink()
+
+
 def test_what_opencv_tells_of_itself_stays_out_of_json(tmp_path):
     pytest.importorskip("cv2")
     from PIL import Image, ImageDraw

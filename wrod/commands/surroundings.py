@@ -9,6 +9,8 @@ from wrod.errors import DataError
 
 # Bytes of addresses that OpenUSD's threads and libraries take.
 _ADDRESSES = 4 * 2**30
+# Bytes of stack: with less the system ends libraries that call deeply.
+_STACK = 2**19
 # Bytes of data that torch takes for its threads on a server of many cores.
 _DATA = 3 * 2**29
 # OpenCV ends the process for a variable that is neither, but for those that take words.
@@ -49,12 +51,19 @@ def refuse_little_data() -> None:
 
 
 def settle_variables() -> None:
-    """Refuse what a library reads of the environment and would end the process for, and keep what
-    OpenUSD (TF_DEBUG) and OpenCV tell of themselves out of what is printed for machines.
+    """Refuse what a library reads of the environment, or lacks of stack, and would end the process
+    for, and keep what OpenUSD (TF_DEBUG) and OpenCV tell of themselves out of what is printed for
+    machines, and out of files.
 
     Raises:
-        DataError: names the variable.
+        DataError: names the variable, or the limit.
     """
+    limit = resource.getrlimit(resource.RLIMIT_STACK)[0]
+    if limit != resource.RLIM_INFINITY and limit < _STACK:
+        raise DataError(
+            f"this process may have a stack of {limit >> 10} KiB, and {_STACK >> 10} are needed; "
+            "raise that limit (ulimit -s)"
+        )
     for name, value in os.environ.items():
         counts = name.startswith("OPENCV_") and not re.search(_WORDS, name)
         if counts and not re.fullmatch(_NUMBER, value):
@@ -66,6 +75,8 @@ def settle_variables() -> None:
     # Pictures look the same whatever a user set for his own: LaTeX, which may be missing, fonts.
     os.environ["MATPLOTLIBRC"] = os.devnull
     os.environ["TF_DEBUG_OUTPUT_FILE"] = "stderr"
+    if "TF_DEBUG" in os.environ:
+        os.environ["TF_DEBUG"] += " -PCP_PRIM_INDEX_GRAPHS"  # files in the working folder
     if os.environ.get("OPENCV_LOG_LEVEL", "W")[:1].upper() not in ("S", "F", "E", "W"):
         os.environ["OPENCV_LOG_LEVEL"] = "WARNING"  # what is below goes to stdout
     date = "SOURCE_DATE_EPOCH"  # matplotlib's, of PDF
