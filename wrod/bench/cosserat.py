@@ -2,6 +2,7 @@
 
 import json
 import time
+from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
 from itertools import product
@@ -36,11 +37,13 @@ _SOLVERS = ("wrod", "pyelastica", "newton-vbd", "mujoco", "dismech", "dismech-ne
               help="Only this one; may be repeated. Default: all that are installed.")  # fmt: skip
 @click.option("--elements", multiple=True, type=int,
               help="Elements of each rod; may be repeated. Default: the experiment's.")  # fmt: skip
+@click.option("--longer", default=1.0, show_default=True,
+              help="Take so many times as long: what is judged at rest may move.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a picture of all.")
 @click.option("--with", "others", multiple=True, type=click.Path(exists=True, path_type=Path),
               help="Rows of another run's --json to draw too; may be repeated.")  # fmt: skip
 @json_option
-def command(chosen, solvers, elements, out, others) -> None:
+def command(chosen, solvers, elements, longer, out, others) -> None:
     """Experiments of cosseratbench: error and time, side by side.
 
     Each is scored by cosseratbench's own metrics, in one run on one machine; times are
@@ -52,7 +55,7 @@ def command(chosen, solvers, elements, out, others) -> None:
     if find_spec("cosseratbench") is None:
         raise DataError("this bench needs cosseratbench; run pip install 'wrod[peers]'")
     runs = len(chosen or _METRICS) * len(solvers or _SOLVERS) * len(elements or (None,))
-    cost.settle(cost.Cost(cost.EXPERIMENT * runs), f"{runs} runs")
+    cost.settle(cost.Cost(longer * cost.EXPERIMENT * runs), f"{runs} runs")
     as_json = asked("json")
     if not as_json:
         click.echo(machine_line())
@@ -60,7 +63,7 @@ def command(chosen, solvers, elements, out, others) -> None:
     rows, drawn = [], [row for path in others for row in _rows_of(path)]
     for experiment in chosen or _METRICS:
         for solver, count in product(solvers or _SOLVERS, elements or (None,)):
-            row = _run(experiment, solver, count)
+            row = _run(experiment, solver, count, longer)
             rows.append(row)
             if not as_json:
                 click.echo(
@@ -126,6 +129,16 @@ def _adapter(name: str, registry):
     return registry.load_solver(name)
 
 
+def _prolong(experiment, factor: float):
+    """An experiment that takes so many times as long."""
+
+    def build(**values):
+        scenario = experiment.build(**values)
+        return replace(scenario, duration=factor * scenario.duration)
+
+    return replace(experiment, build=build)
+
+
 class _Timed:
     """An adapter, and what its last run took of a processor [s], whatever else is running."""
 
@@ -143,11 +156,11 @@ class _Timed:
             self.seconds = time.process_time() - start
 
 
-def _run(name: str, solver: str, elements: int | None) -> dict:
+def _run(name: str, solver: str, elements: int | None, longer: float) -> dict:
     from cosseratbench import registry
     from cosseratbench.experiment import run
 
-    experiment = registry.load_experiment(name)
+    experiment = _prolong(registry.load_experiment(name), longer)
     row = {
         "experiment": name,
         "solver": solver,

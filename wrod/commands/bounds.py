@@ -42,6 +42,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "markers --side": (1e-3, 10.0),
     "markers --margin": (1e-4, 10.0),
     "bench cosserat --elements": (4, 2000),
+    "bench cosserat --longer": (1.0, 10.0),
     "measure --overhang": (1e-3, 100.0),
     "measure --fall": (1e-6, 100.0),
     "measure --reading": (1e-6, 1.0),
