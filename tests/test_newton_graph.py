@@ -1,5 +1,7 @@
 """Steps of SolverDER that ask nothing: no read-back, no allocation, in a graph of the caller's."""
 
+from itertools import pairwise
+
 import newton
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ DT = 0.004
 ROUNDING = 0.0 if DEVICE == "cpu" else 1e-9
 
 
-def scene(with_bodies: bool):
+def scene(with_bodies: bool, requires_grad: bool = False):
     """Cables over a cylinder, on each other and on the ground, one of them held by a free body."""
     builder = newton.ModelBuilder()
     SolverDER.register_custom_attributes(builder)
@@ -34,7 +36,7 @@ def scene(with_bodies: bool):
         held = dict(end="pinned", end_body=bob)
     SolverDER.add_rod(builder, along, ROD, **held)
     SolverDER.add_rod(builder, across, ROD)
-    return builder.finalize(device=DEVICE)
+    return builder.finalize(device=DEVICE, requires_grad=requires_grad)
 
 
 def run(model, steps, graph):
@@ -68,6 +70,83 @@ def test_captured_steps_are_the_same(with_bodies):
         np.testing.assert_allclose(*same, rtol=0.0, atol=ROUNDING, err_msg=name)
     np.testing.assert_allclose(a.body_q.numpy(), b.body_q.numpy(), rtol=0.0, atol=ROUNDING)
     assert not (plain.diverged.any() or captured.diverged.any())
+
+
+@wp.kernel
+def measure(
+    q: wp.array(dtype=wp.vec3d),
+    body_q: wp.array(dtype=wp.transform),
+    loss: wp.array(dtype=wp.float64),
+):
+    i = wp.tid()
+    wp.atomic_add(loss, 0, wp.float64(i + 1) * (q[i][0] + q[i][2]))
+    if i < body_q.shape[0]:
+        wp.atomic_add(loss, 0, wp.float64(body_q[i][2]))
+
+
+class Taped:
+    """Steps on a tape, from where the model is."""
+
+    def __init__(self, model):
+        self.model, self.solver = model, SolverDER(model, rod_contact=None)
+        self.start, self.states = model.state(), [model.state() for _ in range(5)]
+        velocity = np.random.default_rng(5).normal(size=self.start.der.node_qd.shape + (3,))
+        self.start.der.node_qd.assign(0.3 * velocity - [0.0, 0.0, 0.5])
+        self.loss = wp.zeros(1, dtype=wp.float64, device=DEVICE, requires_grad=True)
+
+    def differentiate(self):
+        first, tape = self.states[0], wp.Tape()
+        for name in ("node_q", "node_qd", "edge_director", "edge_spin"):
+            wp.copy(getattr(first.der, name), getattr(self.start.der, name))
+        for name in ("body_q", "body_qd"):
+            wp.copy(getattr(first, name), getattr(self.start, name))
+        self.loss.zero_()
+        with tape:
+            for here, there in pairwise(self.states):
+                self.solver.step(here, there, None, None, DT)
+            arrays = [self.states[-1].der.node_q, self.states[-1].body_q]
+            wp.launch(measure, len(self.start.der.node_q), arrays, [self.loss], device=DEVICE)
+        tape.backward(self.loss)
+        return tape
+
+    def found(self):
+        der = self.states[0].der
+        arrays = der.node_q, der.node_qd, der.edge_spin, self.model.der.node_bending_stiffness
+        return [array.grad.numpy().copy() for array in arrays]
+
+
+@pytest.mark.skipif(DEVICE == "cpu", reason="a graph of a CPU keeps no arrays alive")
+@pytest.mark.parametrize("with_bodies", [False, True])
+def test_gradients_in_a_graph(with_bodies):
+    """Steps on a tape and the way back, captured and replayed, give what they give launched; where
+    a step has no gradients, no numbers."""
+    taped = Taped(scene(with_bodies, requires_grad=True))
+    tape = taped.differentiate()
+    expected = taped.found()
+    assert all((e != 0).any() for e in expected)
+    tape.zero()
+    with wp.ScopedCapture(device=DEVICE) as capture:
+        kept = taped.differentiate()
+    for _ in range(2):
+        kept.zero()
+        wp.capture_launch(capture.graph)
+        for found, e in zip(taped.found(), expected, strict=True):
+            np.testing.assert_allclose(found, e, rtol=0.0, atol=1e-8 * np.abs(e).max())
+    velocity = taped.start.der.node_qd.numpy()
+    velocity[0] = 1e9
+    taped.start.der.node_qd.assign(velocity)
+    kept.zero()
+    wp.capture_launch(capture.graph)
+    assert not np.isfinite(taped.found()[0][:13]).any()
+
+
+@pytest.mark.skipif(DEVICE != "cpu", reason="a GPU captures them")
+def test_a_graph_of_a_cpu_has_no_gradients():
+    taped = Taped(scene(False, requires_grad=True))
+    taped.differentiate()
+    refused = pytest.raises(wrod.errors.RodError, match="in a graph has gradients on a GPU")
+    with refused, wp.ScopedCapture(device=DEVICE):
+        taped.differentiate()
 
 
 def test_a_step_reads_and_allocates_nothing(monkeypatch):

@@ -87,6 +87,42 @@ def count_step(
 
 
 @wp.kernel
+def find_unsound(
+    # State in:
+    most: int,
+    touched: wp.array(dtype=wp.int32),
+    diverged: wp.array(dtype=wp.int32),
+    # State in and out:
+    count: wp.array(dtype=wp.int32),
+    # Out:
+    unsound_out: wp.array(dtype=wp.int32),
+    more_out: wp.array(dtype=wp.int32),
+):
+    """Which rods' steps have no adjoint, and (step,) whether any rod has taken more than so many;
+    what goes back through a graph cannot refuse them."""
+    r = wp.tid()
+    unsound = wp.where(count[r] > most or touched[r] != 0 or diverged[r] != 0, 1, 0)
+    unsound_out[r] = unsound
+    count[r] = wp.min(wp.max(count[r], unsound), most)
+    for k in range(count[r]):
+        more_out[k] = 1
+
+
+@wp.kernel
+def spoil(
+    # In:
+    unsound: wp.array(dtype=wp.int32),
+    # Out:
+    wanted: wp.array(dtype=Part),
+):
+    """What is wanted of rods whose steps have no adjoint is no number, and with it all gradients.
+    Launched over (rod, part, word)."""
+    r, p, a = wp.tid()
+    if unsound[r] != 0 and a < wanted[p].words.shape[1]:
+        wanted[p].words[r, a] = -1
+
+
+@wp.kernel
 def recall_step(
     # In:
     kept: wp.array3d(dtype=wp.int32),

@@ -14,6 +14,7 @@ from wrod.errors import RodError
 from wrod.kernels.stepping import body_exchange_adjoint as body_kernels
 from wrod.kernels.stepping import carrying_adjoint as carrying_kernels
 from wrod.kernels.stepping import exchange_adjoint as kernels
+from wrod.kernels.stepping.trace import spoil
 from wrod.newton_solver.carried_gradients import CarriedGradients
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.meeting_gradients import MeetingGradients
@@ -61,8 +62,13 @@ class GroupGradients:
         Raises:
             RodError: they have no adjoint.
         """
-        dynamics = self.group.dynamics
+        dynamics, device = self.group.dynamics, wp.get_device(self.group.device)
         require_differentiable(dynamics)
+        if device.is_capturing and (device.is_cpu or self._adjoint is None):
+            raise RodError(
+                "a step in a graph has gradients on a GPU, once a step outside has been taken on a "
+                "tape and gone back through"
+            )
         if self._trace is None or self._trace.room < parts + _SPARE:
             self._trace = Trace(dynamics, 2 * parts + _SPARE)
         if dynamics.follower is not self._trace:
@@ -130,6 +136,7 @@ class GroupGradients:
                 by_friction = group.model.shape_material_mu.grad
                 self._meetings = MeetingGradients(self._adjoint, by_friction)
             self._world = wp.array(worlds, dtype=wp.int32, device=device)
+            self._is_held = bool((group.hold.numpy()["body"] >= 0).any())
         return self._adjoint
 
     def read(self, taken: Taken, ends: Ends) -> None:
@@ -152,6 +159,9 @@ class GroupGradients:
             [group.place, capsules, record.count, *record.end, *ends.gradients()],
             [numbers_of(by_poses, 7, group.device), adjoint.now],
         )
+        if record.unsound is not None:
+            level = adjoint.levels[0]
+            level.launch(spoil, [record.unsound[0]], [level.part])
         if adjoint.bodies is not None:
             adjoint.recall(record, 0)
             body, speeds = adjoint.bodies.bodies.body, ends.own[1]
@@ -170,7 +180,7 @@ class GroupGradients:
         group, adjoint = self.group, self._prepare()
         by_poses = gradient_of(ends.body_q, 7, group.device)
         hold, bodies, carried = group.hold, adjoint.bodies, self._carried
-        needed = carried is not None or (hold.numpy()["body"] >= 0).any()
+        needed = carried is not None or self._is_held
         if by_poses.shape[0] == 0 and needed:
             raise RodError("the bodies of the model have no gradients: body_q requires none")
         by_before = None
@@ -323,8 +333,6 @@ class Gradients:
             for group in self._groups:
                 group.rest()
             return None
-        if self.model.device.is_capturing:
-            raise RodError("a step in a graph has no gradients; step outside the graph")
         before, after = Ends.of(state_in, moved), Ends.of(state_out)
         for group in self._groups:
             group.listen(parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -170,40 +171,46 @@ class StepAdjoint:
             held: called with where rods are (`OneStep`), once or, where steps go on from their
                 middle, twice a step: `held` is what is wanted of what is moved there.
         """
-        batch, end = self.batch, self._end
+        capturing = wp.get_device(self.batch.device).is_capturing
         for back in range(record.most):
-            if self._goes_halfway:
-                # A step ends where the next one began.
-                start = self.step.dof_before, self.step.director_before
-                after = record.end if back == 0 else start
-                for own, there in zip((end.dof, end.director), after, strict=True):
-                    wp.copy(own, there)
-            self.recall(record, back)
-            if place is not None:
-                place(self.step)
-            if self._goes_halfway:
-                batch.launch(
-                    midpoint_adjoint.find_halfway, batch.rod_count, [self.step], [end.active]
-                )
-            if self._past is not None:
-                self._past.want_flowed(self.step, self.now, self.model)
-            self._settle(self.step.active, self._end)
-            if self._goes_halfway:
-                self._go_to_middle()
-                if held is not None:
-                    held(self._end)
-            self._factorise()
-            self._solve()
-            self.by_spins.zero_()
-            friction = (self.now, self.before), self._x, self._properties
-            self._contact.want_friction(self.step, *friction)
-            levels = self.before, self.older
-            self._properties.want(record.gravity, self.step, self._x, levels)
-            self._want_before()
+            go = partial(self._go_back_once, record, back, held, place)
+            if back and capturing and record.unsound is not None:
+                wp.capture_if(record.unsound[1][back : back + 1], go)
+            else:
+                go()
+
+    def _go_back_once(self, record: Record, back: int, held, place) -> None:
+        batch, end = self.batch, self._end
+        if self._goes_halfway:
+            # A step ends where the next one began.
+            start = self.step.dof_before, self.step.director_before
+            after = record.end if back == 0 else start
+            for own, there in zip((end.dof, end.director), after, strict=True):
+                wp.copy(own, there)
+        self.recall(record, back)
+        if place is not None:
+            place(self.step)
+        if self._goes_halfway:
+            batch.launch(midpoint_adjoint.find_halfway, batch.rod_count, [self.step], [end.active])
+        if self._past is not None:
+            self._past.want_flowed(self.step, self.now, self.model)
+        self._settle(self.step.active, self._end)
+        if self._goes_halfway:
+            self._go_to_middle()
             if held is not None:
-                held(self.step)
-            levels = [level.part for level in self.levels]
-            self.levels[0].launch(go_back, [self.step.active], levels)
+                held(self._end)
+        self._factorise()
+        self._solve()
+        self.by_spins.zero_()
+        friction = (self.now, self.before), self._x, self._properties
+        self._contact.want_friction(self.step, *friction)
+        levels = self.before, self.older
+        self._properties.want(record.gravity, self.step, self._x, levels)
+        self._want_before()
+        if held is not None:
+            held(self.step)
+        levels = [level.part for level in self.levels]
+        self.levels[0].launch(go_back, [self.step.active], levels)
 
     def recall(self, record: Record, back: int) -> None:
         """Take up the step that is `back` before the last of each rod, in `step`."""

@@ -135,6 +135,8 @@ class Record:
         count: (rod,) steps of each, on the device; `most` is the largest.
         gravity: (rod,) that they were taken under.
         end: (rod, dof) configuration, and (rod, edge) reference directors, after the last.
+        unsound: (rod,) whose steps have no adjoint, and (step,) whether any rod has taken more than
+            so many, where both were to be found out on the device.
     """
 
     steps: wp.array
@@ -142,6 +144,7 @@ class Record:
     most: int
     gravity: wp.array
     end: tuple[wp.array, wp.array]
+    unsound: tuple[wp.array, wp.array] | None = None
 
 
 class Trace:
@@ -192,12 +195,15 @@ class Trace:
         dynamics._per_rod(kernels.count_step, [accepted], [self.count])
 
     def take(self) -> Record:
-        """What was kept since it was asked last; waits for the device.
+        """What was kept since it was asked last; waits for the device, or in a graph has all the
+        room there is and finds out there what is unsound.
 
         Raises:
             RodError: a rod was cut out, has taken more steps than there is room for, or touched
             something whose contact has no adjoint.
         """
+        if wp.get_device(self.batch.device).is_capturing:
+            return self._take_in_graph()
         device_count = wp.clone(self.count)
         count, touched = device_count.numpy(), self._touched.numpy().copy()
         self.count.zero_()
@@ -222,11 +228,25 @@ class Trace:
                 "moves with them, and where bodies that move with rods touch each other or "
                 "what stands still"
             )
+        return self._record(device_count, most)
+
+    def _take_in_graph(self) -> Record:
+        count, batch, most = wp.clone(self.count), self.batch, self.room
+        unsound = wp.zeros_like(count)
+        more = wp.zeros(self.room, dtype=wp.int32, device=batch.device)
+        inputs = [most, self._touched, self._diverged]
+        batch.launch(kernels.find_unsound, batch.rod_count, inputs, [count, unsound, more])
+        self.count.zero_()
+        self._touched.zero_()
+        return self._record(count, most, (unsound, more))
+
+    def _record(self, count: wp.array, most: int, unsound=None) -> Record:
         state = self.batch.state
         return Record(
             wp.clone(self._kept[: max(most, 1)]),  # none of rods that were cut out
-            device_count,
+            count,
             most,
             wp.clone(self.batch.gravity),
             (wp.clone(state.dof), wp.clone(state.director)),
+            unsound,
         )
