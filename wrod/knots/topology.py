@@ -178,15 +178,14 @@ def _crossings(polygons: list[np.ndarray]) -> Diagram | None:
     start = np.vstack(polygons)
     along = np.vstack([np.roll(p, -1, axis=0) - p for p in polygons])
     size = np.array([len(p) for p in polygons])[owner]
-    i, j = np.triu_indices(len(start), 1)
     # Boxes of the segments, so that few pairs are looked at closely.
-    low = np.minimum(start, start + along)[:, :2]
-    high = np.maximum(start, start + along)[:, :2]
-    near = ((low[i] <= high[j]) & (low[j] <= high[i])).all(1)
+    low = np.minimum(start, start + along)[:, :2].T
+    high = np.maximum(start, start + along)[:, :2].T
+    apart = [below[:, None] > above for below, above in zip(low, high, strict=True)]
+    i, j = np.nonzero(np.triu(~(apart[0] | apart[0].T | apart[1] | apart[1].T), 1))
     step = np.abs(index[i] - index[j])
     neighbours = (owner[i] == owner[j]) & ((step == 1) | (step == size[i] - 1))
-    keep = near & ~neighbours
-    i, j = i[keep], j[keep]
+    i, j = i[~neighbours], j[~neighbours]
     gap = start[j] - start[i]
     area = _cross(along[i], along[j])
     parallel = area == 0.0
