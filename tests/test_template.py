@@ -4,6 +4,7 @@ from click.testing import CliRunner
 
 import wrod
 from wrod.commands import main
+from wrod.identification import identify_motion
 from wrod.identification.motion.loading import load_motion
 
 
@@ -27,11 +28,27 @@ def test_clamped_template_is_a_cable_that_the_base_model_explains(tmp_path):
 def test_motion_template_is_read_and_moves(tmp_path):
     assert run("--template", "motion", "--out", tmp_path).exit_code == 0
     recorded = load_motion(tmp_path / "motion.npz")
-    assert recorded.positions.shape == (4, 60, 13, 3)
+    assert recorded.positions.shape == (4, 60, 23, 3)
     moved = np.ptp(recorded.positions, axis=1).max(axis=(1, 2))
     assert (moved > 0.02).all() and (moved < 0.3).all()
     edges = np.linalg.norm(np.diff(recorded.positions[:, :, 1:-1], axis=2), axis=3)
-    np.testing.assert_allclose(edges, 0.03, atol=6e-4)  # it bends, and does not stretch
+    np.testing.assert_allclose(edges, 0.015, atol=3e-4)  # it bends, and does not stretch
+
+
+@pytest.mark.slow
+def test_nothing_that_varies_is_found_of_the_cable_in_motion(tmp_path):
+    """Its grips once bent the rod inside them by half: a stiffness four times as large in the
+    middle was found."""
+    assert run("--template", "motion", "--out", tmp_path).exit_code == 0
+    profiles = ("stiffness_profile", "natural_curvature_profile")
+    found = identify_motion(
+        load_motion(tmp_path / "motion.npz"), candidates=("axial_stiffness", *profiles)
+    )
+    assert not {effect.name for effect in found.effects} & set(profiles)
+    assert found.base["stiffness"]["L_gb"].value == pytest.approx(0.05, rel=0.02)
+    (damping,) = (e for e in found.effects if e.name == "internal_damping")
+    assert damping.parameters["viscous_time"].value == pytest.approx(0.02, rel=0.1)
+    assert found.after < 2.5 * found.noise_floor < 0.15 * found.before
 
 
 @pytest.mark.parametrize(

@@ -96,14 +96,16 @@ def clamped_example() -> dict[str, Any]:
 def motion_example() -> dict[str, Any]:
     """Arrays of four recordings of a cable that swings between two grips, let go of aside."""
     rng = np.random.default_rng(0)
-    held, inner, fine = 0.03, 0.03, 2
-    spans = np.concatenate([[held], np.full(10 * fine, inner / fine), [held]])
+    held, inner, fine, count = 0.03, 0.015, 4, 20
+    spans = np.concatenate([[held], np.full(count * fine, inner / fine), [held]])
     s = np.concatenate([[0.0], np.cumsum(spans)])
     apart = 0.2
-    u = np.clip((s - held) / (10 * inner), 0.0, 1.0)[:, None]
+    u = np.clip((s - held) / (count * inner), 0.0, 1.0)[:, None]
     line = np.array([apart, 0.0, 0.0]) * u - np.array([0.0, 0.0, 0.1]) * np.sin(np.pi * u)
     line[0], line[-1] = [0.0, 0.0, held], [apart, 0.0, held]
-    batch = RodBatch.of(_CABLE, s, np.repeat(line[None], _RECORDINGS, axis=0))
+    # What is inside the grips does not bend.
+    lines = np.repeat(line[None], _RECORDINGS, axis=0)
+    batch = RodBatch.of(_CABLE, s, lines, clamped=(True, True))
     prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
     aside = np.radians(rng.uniform(20.0, 60.0, _RECORDINGS) * rng.choice([-1, 1], _RECORDINGS))
     pull = np.column_stack([0.3 * rng.normal(size=_RECORDINGS), np.sin(aside), -np.cos(aside)])
