@@ -104,3 +104,18 @@ def test_bad_axes_are_refused(tmp_path, text):
     arguments = ["bench", "closures", "--frictions", text, "--out", str(tmp_path / "out")]
     refused("frictions", *arguments)
     assert not (tmp_path / "out").exists()
+
+
+def test_comparisons_of_closures_without_friction_are_drawn(tmp_path):
+    """Nothing is left there for axes that are logarithmic."""
+    from wrod.bench.closures_picture import draw_friction
+    from wrod.bench.closures_report import Cell
+
+    cell = Cell(**dict.fromkeys(Cell.__dataclass_fields__, 0.5))
+    draw_friction(tmp_path / "x.png", {("rope", "line", 0.0, "min_force"): cell})
+    assert (tmp_path / "x.png").stat().st_size > 1000
+
+
+def test_edges_longer_than_a_rod_bends_are_refused_before_it_is_planned(tmp_path, monkeypatch):
+    monkeypatch.setattr("wrod.bench.closures._plans", None)
+    refused("longest that bends", "bench", "closures", "--spacing", 1.0, "--out", tmp_path / "out")

@@ -55,11 +55,13 @@ def command(trials: int, common: campaign.Common, **given) -> None:
     trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
     """
     from wrod.bench.closures_report import KEYS, METHODS, PUT_DOWN
+    from wrod.deployment.bounds import refuse_coarse_edges
     from wrod.files import row_schemas
     from wrod.rods.device import resolve_device
 
     device, out = resolve_device(common.device), common.out
     frictions, curves = _asked_for(common.patterns, **given)
+    refuse_coarse_edges([curve.rod for curve in curves], common.spacing)
     nodes = _nodes(curves, common.spacing)
     settings = common.settings | {"nodes": nodes, "patterns": common.source}
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures", row_schemas.CampaignRow)

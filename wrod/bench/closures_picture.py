@@ -100,6 +100,7 @@ def _blend(one: str, two: str) -> tuple[float, ...]:
 
 def _draw_errors(axes, table: dict, rod: str) -> None:
     """Mean over the patterns, and the range that they span."""
+    axes.set_yscale("log")
     for method in (*METHODS, PUT_DOWN):
         keys = [k for k in table if k[0] == rod and k[3] == method]
         frictions = sorted({k[2] for k in keys})
@@ -111,7 +112,6 @@ def _draw_errors(axes, table: dict, rod: str) -> None:
         means = [np.mean(group) for group in groups]
         axes.plot(x, means, color=COLORS[method], lw=1.8, marker="o", ms=3, **style)
         axes.set_xticks(x, [f"{mu:g}" for mu in frictions])
-    axes.set_yscale("log")
     axes.set_ylim(bottom=5e-3)
     axes.set_xlabel("friction coefficient", fontsize=9)
     axes.set_title(rod, fontsize=10.5, color=INK)
@@ -121,6 +121,7 @@ def _draw_errors(axes, table: dict, rod: str) -> None:
 
 def _draw_line(axes, table: dict, rods: list[str]) -> None:
     styles = ("-", (0, (5, 2)), (0, (1.5, 1.5)))
+    axes.set_yscale("log")
     for rod, style in zip(rods, styles * len(rods), strict=False):
         for method in ("intuitive", "zero_tension"):
             keys = sorted(k for k in table if k[0] == rod and k[1] == "line" and k[3] == method)
@@ -128,7 +129,6 @@ def _draw_line(axes, table: dict, rods: list[str]) -> None:
             axes.plot(x, [table[k].error for k in keys], color=COLORS[method], lw=1.6, ls=style)
             axes.set_xticks(x, [f"{k[2]:g}" for k in keys])
         axes.plot([], [], color=MUTED, lw=1.4, ls=style, label=rod)
-    axes.set_yscale("log")
     axes.set_ylim(bottom=1e-3)
     axes.set_xlabel("friction coefficient", fontsize=9)
     axes.set_ylabel("e_mean [cm]", fontsize=9)
@@ -145,6 +145,8 @@ def draw_friction(path: Path, table: dict) -> Path:
     figure = Figure(figsize=(10.5, 4.6), facecolor="white")
     left, right = figure.subplots(1, 2, sharey=True)
     figure.subplots_adjust(0.075, 0.13, 0.985, 0.78, 0.06)
+    for axes in (left, right):  # before there are points: on tables without friction there are none
+        axes.set(xscale="log", yscale="log")
     points = [
         (key, cell)
         for key, cell in table.items()
@@ -160,11 +162,8 @@ def draw_friction(path: Path, table: dict) -> Path:
     left.set_ylabel("e_mean [cm]", fontsize=9)
     left.set_xlabel("friction coefficient", fontsize=9)
     right.set_xlabel("friction coefficient over what the plan asks for at the contact", fontsize=9)
-    left.set_xscale("log")
     right.set_xlim(0.02, 30.0)
     for axes in (left, right):
-        axes.set_xscale("log")
-        axes.set_yscale("log")
         axes.grid(color=GRID, lw=0.7)
         _dress(axes)
     right.legend(fontsize=8.5, frameon=False)

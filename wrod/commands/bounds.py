@@ -11,7 +11,7 @@ import click
 
 # (lowest, highest) by option, or by command and option where they differ. Lengths are in m, times
 # in s. The lowest of what must not be 0 is the least that makes sense.
-_SEED = (0, 2**53)
+_SEED = (0, 2**52)  # benchmarks add to it; beyond 2**53 a float would be another
 BOUNDS: dict[str, tuple[float, float]] = {
     "--radius": (1e-6, 1.0),
     "--lgb": (1e-4, 100.0),
