@@ -439,6 +439,15 @@ def test_bad_data_are_named(plain, sentence, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_matrices_that_are_singular_are_told(plain, monkeypatch):
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("wrod.identification.clamped.report.as_asked", singular)
+    with pytest.raises(DataError, match=r"too far apart for double precision \(Singular matrix\)"):
+        identify(measurements_from_arrays(plain))
+
+
 def test_files_that_are_not_measurements(tmp_path):
     (tmp_path / "text.npz").write_text("no zip")
     np.savez(tmp_path / "object.npz", centerline=np.array([{}], dtype=object))

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from forked import full_disk
@@ -64,6 +65,7 @@ def ends(error, *words, write=None):
         (ImportError("cannot import name", name="wrod.rods"), "a fault of wrod's own", FAULT),
         (UnicodeDecodeError("utf-8", b"a", 0, 1, "x"), "not UTF-8", REFUSED),
         (UserWarning("odd"), "odd .*PYTHONWARNINGS", REFUSED),
+        (np.linalg.LinAlgError("Singular matrix"), r"apart .*\(Singular matrix\)", REFUSED),
         (ZeroDivisionError("x"), "a fault of wrod's own", FAULT),
     ],
 )

@@ -129,6 +129,29 @@ def retold_as(error: type[WrodError]) -> Iterator[None]:
 
 
 @contextmanager
+def within_precision() -> Iterator[None]:
+    """A matrix within, or in the function that it decorates, that cannot be solved is a
+    `DataError`: which numbers of the input lie too far apart is known to no single check."""
+    try:
+        yield
+    except Exception as error:
+        said = unsolved(error)
+        if said is None:
+            raise
+        raise DataError(said) from error
+
+
+def unsolved(error: BaseException) -> str | None:
+    """The sentence for a singular matrix of NumPy's, SciPy's or torch's; None for others."""
+    if not type(error).__name__.endswith("LinAlgError"):
+        return None
+    return (
+        f"numbers of the input lie too far apart for double precision ({error}); check its units, "
+        "and give less extreme ones"
+    )
+
+
+@contextmanager
 def needed_extras() -> Iterator[None]:
     """A package of an extra that is not found within, or in the function that it decorates, is a
     `MissingExtraError`."""

@@ -14,7 +14,7 @@ from pathlib import Path
 import click
 
 from wrod.commands.surroundings import refuse_few_addresses, refuse_little_data
-from wrod.errors import DataError, MissingExtraError, WrodError, blamed_variables
+from wrod.errors import DataError, MissingExtraError, WrodError, blamed_variables, unsolved
 
 # Exit codes: of input that cannot be used, of interruptions, and of a fault of ours.
 REFUSED, INTERRUPTED, FAULT = 2, 130, 70
@@ -79,7 +79,7 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return f"an input holds text that is not UTF-8 ({error}); save it as UTF-8", REFUSED
     if isinstance(error, Warning):
         return f"{error} (a warning, which PYTHONWARNINGS makes an error)", REFUSED
-    blamed = blamed_variables(error)
+    blamed = unsolved(error) or blamed_variables(error)
     return None if blamed is None else (blamed, REFUSED)
 
 

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import DataError
+from wrod.errors import DataError, within_precision
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.setup import ClampedSetup
 
@@ -164,10 +164,10 @@ def magnitude_and_angle(
 
 def checked_as_identification(data: Callable, **more: Callable) -> Callable[[Asks], Asks]:
     """Decorator that checks what an identification is asked; `data` checks measurements, `more`
-    what only one kind is asked."""
+    what only one kind is asked. Matrices of it that are singular are a `DataError`."""
     given = arguments.either(arguments.path, data)
     an_effect = arguments.either(arguments.text, arguments.like("an Effect", "name"))
-    return arguments.checked(
+    checked = arguments.checked(
         DataError,
         measurements=given,
         test=arguments.optional(given),
@@ -176,6 +176,7 @@ def checked_as_identification(data: Callable, **more: Callable) -> Callable[[Ask
         progress=arguments.optional(arguments.callback),
         **more,
     )
+    return lambda asks: checked(within_precision()(asks))
 
 
 @cache

@@ -14,7 +14,7 @@ import numpy as np
 from wrod import arguments
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.simulate import Trial, simulate_deployments
-from wrod.errors import DataError, GraspError
+from wrod.errors import DataError, GraspError, within_precision
 from wrod.identification.effect import Estimate
 from wrod.identification.laid.measurements import LaidMeasurements
 from wrod.identification.report import Finding
@@ -143,6 +143,7 @@ def _estimates(values, active, covariance) -> tuple[dict[str, Estimate], float]:
     ),
     iterations=arguments.whole(1, 1000),
 )
+@within_precision()
 def fit_laid(
     measurements: LaidMeasurements,
     rod: RodModel | RodMaterial,
