@@ -464,7 +464,7 @@ def _files(files: dict[str, str]) -> dict:
     for kind, content in FRICTIONS.items():
         add("plan", f"table {kind}", [*PLAN, "--no-robot", "--friction", "{x}"], "t.json", content)
     camera = json.loads(Path(files["camera.json"]).read_text())
-    scan = ["{line.png}", "--markers", "{layout.json}", "--camera", "{x}", "--out", "{out}"]
+    scan = ["{marked.png}", "--markers", "{layout.json}", "--camera", "{x}", "--out", "{out}"]
     for kind, change in CAMERAS.items():
         add("scan", f"camera {kind}", scan, "camera.json", json.dumps(camera | change))
     for kind, corners in LAYOUTS.items():
@@ -472,7 +472,7 @@ def _files(files: dict[str, str]) -> dict:
         add(
             "scan",
             f"markers {kind}",
-            ["{line.png}", "--markers", "{x}", "--out", "{out}"],
+            ["{marked.png}", "--markers", "{x}", "--out", "{out}"],
             "m.json",
             content,
         )

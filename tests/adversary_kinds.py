@@ -38,12 +38,13 @@ MORE = {
          "--fixtures", "{fixtures.json}", "--device", "cpu", "--out", "{out}"],
     ],
     "scan": [
-        ["{line.png}", "--markers", "{layout.json}", "--camera", "{camera.json}", "--out", "{out}"],
+        ["{marked.png}", "--markers", "{layout.json}", "--camera", "{camera.json}", "--out",
+         "{out}"],
     ],
     "laid": [
         ["{line.npz}", "--pattern", "line", "--trajectory", "{plan.npz}", "--rod", "{rod.json}",
-         "--iterations", "1", "--fit-friction", "--table", "{out}.table.json", "--out",
-         "{out}.json"],
+         "--noise", "0.001", "--iterations", "1", "--fit-friction", "--table",
+         "{out}.table.json", "--out", "{out}.json"],
         ["{deployment.npz}", "--pattern", "line", "--trajectory", "{plan.npz}", "--rod",
          "{model.json}", "--noise", "0.001", "--iterations", "0", "--holding"],
     ],
@@ -54,7 +55,7 @@ MORE = {
     "identify": [["{motion.npz}", "--effect", "quadratic_drag", "--out", "{out}"]],
     "bench table3": [
         ["--trials", "2", "--rod", "green-vps", "--substrate", "steel", "--pattern", "line",
-         "--spacing", "0.05", "--step", "0.05", "--speed", "0.1", "--batch", "1", "--workers", "2",
+         "--spacing", "0.05", "--step", "0.05", "--speed", "0.1", "--batch", "1",
          "--device", "cpu", "--out", "{out}"],
     ],
     "bench slippery": [

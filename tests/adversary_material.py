@@ -56,11 +56,11 @@ VALID = {
                      "cpu", "--out", "{out}"],
     "bench optimised": ["--names", "line", "--device", "cpu"],
     "bench deploy": ["--pattern", "line", "--batch", "1", "--levels", "1", "--device", "cpu"],
-    "bench rounds": ["--rods", "2", "--knots", "0", "--rounds", "2", "--device", "cuda:0"],
+    "bench rounds": ["--rods", "2", "--knots", "0", "--rounds", "2", "--device", "cpu"],
     "bench knot-force": ["--friction", "0.1", "--loosest", "30", "--tightest", "25", "--out",
                          "{out}"],
     "bench bends": ["--friction", "0.4", "--only", "reef knot", "--out", "{out}"],
-    "bench newton": ["--edges", "4", "--iterations", "10", "--rods", "1", "--periods", "0.1",
+    "bench newton": ["--edges", "4", "--iterations", "10", "--rods", "1", "--periods", "0.5",
                      "--out", "{out}"],
     "bench cosserat": ["--experiment", "cantilever", "--solver", "wrod", "--elements", "8"],
     "bench identify": ["--sets", "{sets}"],
@@ -74,7 +74,7 @@ VALID = {
     "bench feedback": ["--names", "line", "--effects", "none", "--ways", "blind", "--out", "{out}"],
     "bench applications": ["--case", "trefoil", "--trials", "1", "--device", "cpu", "--out",
                            "{out}"],
-    "bench photographs": ["--data", "{photographs}", "--quick", "--scenarios", "1",
+    "bench photographs": ["--data", "{photographs}", "--quick",
                           "--out", "{out}"],
     "bench hands": ["--data", "{hands}", "--quick", "--out", "{out}"],
 }  # fmt: skip
@@ -207,11 +207,11 @@ def material(folder: Path) -> dict[str, str]:
     made["plan.npz"] = str(next(file for file in map(Path, files) if file.suffix == ".npz"))
     made["trajectory.csv"] = str(next(file for file in map(Path, files) if file.suffix == ".csv"))
     made["rod.json"] = str(wrod.save_rod(wrod.rod("green-vps"), folder / "rod.json"))
-    corners = {str(k): [[x, y], [x + 0.02, y], [x + 0.02, y - 0.02], [x, y - 0.02]]
-               for k, (x, y) in enumerate([(0, 0), (0.3, 0), (0.3, 0.2), (0, 0.2)])}  # fmt: skip
-    at("layout.json").write_text(json.dumps({"marker_corners_m": corners}))
+    at("sheet")
+    main(["markers", "--json", "--out", made["sheet"]], standalone_mode=False)
+    shutil.copy(folder / "sheet" / "layout.json", at("layout.json"))
     at("camera.json").write_text(
-        json.dumps({"camera_matrix": [[900, 0, 100], [0, 900, 75], [0, 0, 1]], "distortion": []})
+        json.dumps({"camera_matrix": [[900, 0, 594], [0, 900, 420], [0, 0, 1]], "distortion": []})
     )
     at("obstacles.json").write_text('[{"kind": "sphere", "size": 0.05, "xyz": [0, 0, 2]}]')
     at("table.json").write_text('{"format": "wrod-table-1", "friction": 0.4, "log_error": 0.1}')
@@ -250,6 +250,10 @@ def material(folder: Path) -> dict[str, str]:
     picture = Image.new("RGB", (200, 150), "white")
     ImageDraw.Draw(picture).line([(30, 70), (170, 75)], fill="black", width=5)
     picture.save(at("line.png"))
+    with Image.open(folder / "sheet" / "markers.png") as sheet:
+        marked = sheet.convert("RGB").resize((1188, 840))
+    ImageDraw.Draw(marked).line([(300, 400), (600, 500), (900, 420)], "black", 12, joint="curve")
+    marked.save(at("marked.png"))
     for name, file in {"patterns": "points.csv", "sets": "clamped.npz"}.items():
         at(name).mkdir(exist_ok=True)
         shutil.copy(made[file], folder / name / file)
