@@ -17,11 +17,12 @@ def table3(photographs: list[LaidPhotograph], laid: Deployments) -> dict:
     friction is the one with the least squared logarithm of predicted over measured e_mean, over
     the seven patterns.
     """
-    paper = measured()
+    paper, methods = measured(), ("int", "opt")
+    laid.prepare([(p, method, straight_held()) for p in photographs for method in methods])
     errors = {
         (p.rod, p.pattern_name, method): _errors(p, method, laid)
         for p in photographs
-        for method in ("int", "opt")
+        for method in methods
     }
     rows, text = [], [
         "Table 3: friction of every substrate from the intuitive column, and what of the optimal "
