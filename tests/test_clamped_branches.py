@@ -112,6 +112,23 @@ def test_a_coil_that_does_not_turn_is_a_curvature_even_past_a_fold():
     assert rounds[0].gains == pytest.approx([first.bic - f.bic for f in (found, coil)])
 
 
+def test_what_a_fit_leaves_is_asked_where_it_is(monkeypatch):
+    """At its own shapes, to which nothing is led; led from the base model's it leaves the same."""
+    data, _ = hidden_set("natural_curvature", 303)
+    lab = Laboratory(measurements_from_arrays(data))
+    (fit,) = fit_models(lab, [Model((effects()["natural_helix"],))], [np.array([0.0, 0.0, -6.0])])
+    asked = fit.model, fit.values, lab.measurements.train
+    led, led_there = [], lab._lead
+    monkeypatch.setattr(lab, "_lead", lambda *to: led.append(to) or led_there(*to))
+    assert lab.misfit(*asked).sum() == pytest.approx(fit.chi_squared, rel=1e-9)
+    assert not led
+    lab._known.clear()
+    assert lab.misfit(*asked).sum() == pytest.approx(fit.chi_squared, rel=1e-7)
+    assert len(led) == 1
+    lab.misfit(*asked)
+    assert len(led) == 1
+
+
 def test_trials_that_stand_before_a_fold_do_not_hold_a_fit_back(monkeypatch):
     """Two of sixteen do, at 59 000 squares; without them the others lead past it. A softening
     leaves 55 000, but more in the others, so that the stiffness is tried first."""
