@@ -2,7 +2,7 @@
 
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ZERO, edge
-from wrod.kernels.lanes import largest_of_lanes, sum_of_lanes
+from wrod.kernels.lanes import count_of_lanes, largest_of_lanes, sum_of_lanes
 
 wp.set_module_options({"enable_backward": False})
 
@@ -94,6 +94,42 @@ def measure_residual(
     elif worst <= tolerance[r] * force_scale[r]:
         converged_out[r] = 1
         active[r] = 0
+
+
+@wp.kernel
+def ask_any(
+    # State in:
+    chosen: wp.array(dtype=wp.int32),
+    most: int,
+    # State in and out:
+    asked: wp.array(dtype=wp.int32),
+    # State out:
+    any_out: wp.array(dtype=wp.int32),
+):
+    """Whether any rod is chosen, as long as it was not asked more than `most` times.
+
+    Launched over (1, lane).
+    """
+    _, lane = wp.tid()
+    found = int(0)
+    for r in range(lane, chosen.shape[0], wp.block_dim()):
+        found += chosen[r]
+    found = count_of_lanes(found)
+    if lane > 0:
+        return
+    any_out[0] = wp.where(found > 0 and asked[0] < most, 1, 0)
+    asked[0] = asked[0] + 1
+
+
+@wp.kernel
+def count_active(
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    # State in and out:
+    iterations: wp.array(dtype=wp.int32),
+):
+    r = wp.tid()
+    iterations[r] = iterations[r] + active[r]
 
 
 @wp.kernel

@@ -56,6 +56,12 @@ def alone() -> Iterator[bool]:
         yield may
 
 
+def is_only_thread() -> bool:
+    """Whether there is no other thread that could launch unasked (daemons are not asked)."""
+    me = threading.current_thread()
+    return all(other is me or other.daemon for other in threading.enumerate())
+
+
 def replay(graph: wp.Graph) -> None:
     """Launch what was recorded, while other threads may record and replay theirs."""
     with aside() if graph.device.is_cpu else nullcontext():

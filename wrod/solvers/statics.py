@@ -13,13 +13,15 @@ from wrod.rods.batch import RodBatch
 from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.inertia import rounding_of
-from wrod.solvers.recording import launching
+from wrod.solvers.recording import is_only_thread, launching, record, replay
 
 # Largest change of an edge in one Newton step, as a fraction of its length.
 _STEP_LIMIT = 0.5
 _INDICES = arguments.indices
 _SMALLEST_FRACTION = 1e-4
 _SMALLEST_PROGRESS = 1e-3
+# Shifts of a matrix, and halvings of a step, that are tried: more than can be.
+_MOST_SHIFTS, _MOST_HALVINGS = 30, 30
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,12 @@ class EquilibriumSolver:
         self.active, self.searching, self.retry, self.converged = (ints() for _ in range(4))
         self.slope, self.fraction, self.shift_unit = (floats() for _ in range(3))
         self.residual, self.tolerance = floats(), floats()
+        self.iterations = ints()
+        # Whether to take another round, or to try once more within one, and how often it was.
+        self._goes_on, self._again, self._rounds, self._tried = (
+            wp.zeros(1, dtype=wp.int32, device=device) for _ in range(4)
+        )
+        self._recorded: dict[tuple[int, bool], wp.Graph | None] = {}
 
     @arguments.checked(
         RodError,
@@ -109,6 +117,7 @@ class EquilibriumSolver:
         """
         batch = self.batch
         rods = batch.rod_count
+        self._recorded.clear()  # arrays and laws may be others than before
         start = RodState.zeros(rods, batch.node_count, batch.device)
         start.assign(batch.state)
         begin = wp.clone(batch.state.dof)
@@ -175,58 +184,96 @@ class EquilibriumSolver:
         self.batch.copy_states(chosen, source, target)
 
     def _iterate(self, max_iterations: int, search: bool) -> np.ndarray:
-        """Newton on the active rods until each has converged or stopped; iterations per rod."""
-        batch = self.batch
-        rods, dofs = batch.rod_count, batch.dof_count
-        out, system = batch.derivatives, self.system
-        count = np.zeros(rods, dtype=np.int64)
+        """Newton on the active rods until each has converged or stopped; iterations per rod.
+
+        A CPU replays all rounds but the first, which compiles the kernels: most of the time would
+        go into making launches."""
         self.converged.zero_()
-        system.shift.zero_()
-        for iteration in range(max_iterations + 1):
-            batch.evaluate(order=2, active=self.active)
-            # The factorisation comes first: at equilibrium its pivots tell the stability.
-            system.factorise(out.hessian, self.active)
-            batch.launch_lanes(
-                newton.measure_residual,
-                [
-                    batch.free,
-                    self.force_scale,
-                    self.length_scale,
-                    self.tolerance,
-                    out.gradient,
-                    self.active,
-                ],
-                [self.residual, self.converged],
-            )
-            active = self.active.numpy() != 0
-            if not active.any() or iteration == max_iterations:
-                break
-            count += active
-            self._make_definite(out.hessian)
-            wp.copy(system.x, out.gradient.reshape((rods, 1, dofs)))
-            system.solve(self.active)
-            self._step(search)
-        return count
+        self.system.shift.zero_()
+        self.iterations.zero_()
+        self._rounds.zero_()
+
+        def take_round() -> None:
+            self._correct(search)
+            self._look(max_iterations)
+
+        key = (max_iterations, search)
+        graph = self._recorded.get(key)
+        self._look(max_iterations)
+        if graph is None and self._may_record and self._goes_on.numpy()[0]:
+            take_round()
+            if self._goes_on.numpy()[0]:
+                graph = record(
+                    self.batch.device, lambda: wp.capture_while(self._goes_on, take_round)
+                )
+                self._recorded[key] = graph
+        if graph is None:
+            wp.capture_while(self._goes_on, take_round)
+        else:
+            replay(graph)
+        return self.iterations.numpy().astype(np.int64)
+
+    @property
+    def _may_record(self) -> bool:
+        """A recording on a CPU takes what other threads launch, too."""
+        return wp.get_device(self.batch.device).is_cpu and is_only_thread()
+
+    def _look(self, max_iterations: int) -> None:
+        """Where every active rod is, and whether any has to go on."""
+        batch, out, system = self.batch, self.batch.derivatives, self.system
+        batch.evaluate(order=2, active=self.active)
+        # The factorisation comes first: at equilibrium its pivots tell the stability.
+        system.factorise(out.hessian, self.active)
+        batch.launch_lanes(
+            newton.measure_residual,
+            [
+                batch.free,
+                self.force_scale,
+                self.length_scale,
+                self.tolerance,
+                out.gradient,
+                self.active,
+            ],
+            [self.residual, self.converged],
+        )
+        self._ask(self.active, max_iterations, self._rounds, self._goes_on)
+
+    def _ask(self, chosen: wp.array, most: int, asked: wp.array, answer: wp.array) -> None:
+        """Whether any rod is chosen, `most` times at most."""
+        self.batch.launch_lanes(newton.ask_any, [chosen, most, asked], [answer], rods=1)
+
+    def _correct(self, search: bool) -> None:
+        """A step of every active rod."""
+        batch, out, system = self.batch, self.batch.derivatives, self.system
+        batch.launch(newton.count_active, batch.rod_count, [self.active], [self.iterations])
+        self._make_definite(out.hessian)
+        wp.copy(system.x, out.gradient.reshape(system.x.shape))
+        system.solve(self.active)
+        self._step(search)
 
     def _make_definite(self, hessian: wp.array) -> None:
         """Raise the shift of every rod with negative pivots until its matrix is definite."""
+        self._tried.zero_()
+        self._choose_shift(self.active, hessian)
+
+        def factorise_again() -> None:
+            self.system.factorise(hessian, self.retry)
+            self._choose_shift(self.retry, hessian)
+
+        wp.capture_while(self._again, factorise_again)
+
+    def _choose_shift(self, chosen: wp.array, hessian: wp.array) -> None:
         batch, system = self.batch, self.system
-        retry = self.active
-        for _ in range(30):
-            batch.launch(
-                newton.choose_shift,
-                batch.rod_count,
-                [retry, batch.free, hessian, system.negative_pivots],
-                [system.shift, self.shift_unit, self.retry],
-            )
-            if not self.retry.numpy().any():
-                return
-            retry = self.retry
-            system.factorise(hessian, retry)
+        batch.launch(
+            newton.choose_shift,
+            batch.rod_count,
+            [chosen, batch.free, hessian, system.negative_pivots],
+            [system.shift, self.shift_unit, self.retry],
+        )
+        self._ask(self.retry, _MOST_SHIFTS, self._tried, self._again)
 
     def _step(self, search: bool) -> None:
-        batch, rods = self.batch, self.batch.rod_count
-        out, system, trial = batch.derivatives, self.system, self.trial
+        batch, out, system = self.batch, self.batch.derivatives, self.system
         batch.launch_lanes(
             newton.start_line_search,
             [
@@ -239,43 +286,54 @@ class EquilibriumSolver:
             ],
             [self.slope, self.fraction, self.searching],
         )
-        while True:
-            batch.launch(
-                newton.take_trial_step,
-                (rods, batch.dof_count),
-                [self.searching, batch.state.dof, system.x, self.fraction],
-                [trial.dof],
-            )
-            batch.transport_frames(batch.state, trial, self.searching)
-            batch.evaluate(order=1, state=trial, out=self.trial_derivatives, active=self.searching)
-            batch.launch(
-                newton.judge_trial_step,
-                rods,
-                [
-                    int(search),
-                    wp.float64(_SMALLEST_FRACTION),
-                    self.force_scale,
-                    self.length_scale,
-                    self.shift_unit,
-                    out.energy,
-                    self.trial_derivatives.energy,
-                    self.slope,
-                    self.fraction,
-                    self.searching,
-                    system.shift,
-                ],
-            )
-            if not self.searching.numpy().any():
-                break
+        if search:
+            self._tried.zero_()
+            self._ask(self.searching, _MOST_HALVINGS, self._tried, self._again)
+            wp.capture_while(self._again, self._try_step)
+        else:
+            self._judge(search)
         # A rod that found no descent has a fraction of zero and takes its own state back.
+        self._take(self.active)
+        batch.copy_states(self.active, self.trial, batch.state)
+
+    def _take(self, chosen: wp.array) -> None:
+        """The trial state: a fraction of the step on."""
+        batch, trial = self.batch, self.trial
         batch.launch(
             newton.take_trial_step,
-            (rods, batch.dof_count),
-            [self.active, batch.state.dof, system.x, self.fraction],
+            (batch.rod_count, batch.dof_count),
+            [chosen, batch.state.dof, self.system.x, self.fraction],
             [trial.dof],
         )
-        batch.transport_frames(batch.state, trial, self.active)
-        self._copy(self.active, trial, batch.state)
+        batch.transport_frames(batch.state, trial, chosen)
+
+    def _try_step(self) -> None:
+        """Energy of the trial state, and whether it will do."""
+        self._take(self.searching)
+        self.batch.evaluate(
+            order=1, state=self.trial, out=self.trial_derivatives, active=self.searching
+        )
+        self._judge(True)
+        self._ask(self.searching, _MOST_HALVINGS, self._tried, self._again)
+
+    def _judge(self, search: bool) -> None:
+        self.batch.launch(
+            newton.judge_trial_step,
+            self.batch.rod_count,
+            [
+                int(search),
+                wp.float64(_SMALLEST_FRACTION),
+                self.force_scale,
+                self.length_scale,
+                self.shift_unit,
+                self.batch.derivatives.energy,
+                self.trial_derivatives.energy,
+                self.slope,
+                self.fraction,
+                self.searching,
+                self.system.shift,
+            ],
+        )
 
 
 @launching()

@@ -126,9 +126,12 @@ def fit_models(
         return list(zip(iteration.run(), iteration.states, strict=True))
 
     fits: dict[int, tuple[Fit, tuple[np.ndarray, ...]]] = {}
-    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-        for group, results in zip(groups, pool.map(run, groups), strict=True):
-            fits |= dict(zip(group, results, strict=True))
+    if len(groups) == 1:  # without a second thread equilibria are recorded
+        fits |= dict(zip(groups[0], run(groups[0]), strict=True))
+    else:
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+            for group, results in zip(groups, pool.map(run, groups), strict=True):
+                fits |= dict(zip(group, results, strict=True))
     if wide:
         # The narrow ones are done: theirs is the mark to beat.
         mark = min([rival, *(f.chi_squared for f, _ in fits.values())])
