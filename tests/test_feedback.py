@@ -222,12 +222,31 @@ def test_finished_rows_are_kept_and_ratios_stand_beside_them(tmp_path, monkeypat
     assert first.exit_code == 0 and asked == [("none", "blind")], first.output
     both = run(*arguments, "none,friction")
     assert len(asked) == len(set(asked)) == 4
-    assert "| friction halved | 0.300 (1.50) |" in both.output
-    assert "| friction halved | 0.030 (1.50) |" in both.output
+    assert "| friction halved | 0.300 (1.50) | 0.300 (1.50) |" in both.output
+    assert "| friction halved | 0.030 (1.50) | 0.030 (1.50) |" in both.output
     # What is finished is told, and nothing else is laid.
     told = run(*arguments, "none,friction,half", "--finished")
     assert len(asked) == 4 and "| friction halved | 0.030 (1.50) |" in told.output
     refused("other settings", *arguments, "none", "--every", "0.1")
+
+
+def test_the_last_column_is_of_trials_that_are_there_with_and_without_an_effect():
+    from wrod.bench.feedback import summary, table_told
+
+    errors = {
+        ("none", "sine"): {0: 0.01, 1: 0.03},
+        ("friction", "sine"): {0: 0.02, 1: 0.02, 2: 0.9},  # of the third there is none without
+        ("none", "line"): {0: 0.01},
+        ("friction", "line"): {0: 0.06},
+        ("friction", "circle"): {0: 0.9},
+    }
+    rows = [
+        dict(rod="rope", pattern=name, effect=effect, way="followed", seed=seed, error_mean=error)
+        for (effect, name), cell in errors.items()
+        for seed, error in cell.items()
+    ]
+    *_, none, friction = table_told(summary(rows), ["followed"])
+    assert none.endswith("| 0.017 |") and friction.endswith("| 0.033 (2.00) |")
 
 
 def test_a_grip_goes_back_and_on_as_it_would_have_gone(bend):

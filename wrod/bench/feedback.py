@@ -117,7 +117,8 @@ def command(
     tell(
         {"rows": rows, "table": table, "written": [str(ledger.path)]},
         f"friction {how['friction']:g} believed; e_mean [cm] of each trial, and in brackets their "
-        "mean over that of the same trials without an effect",
+        "mean over that of the same trials without an effect; the last column is of all "
+        "trials that are there with and without",
         *table_told(table, asked),
         *_looks_told(rows),
     )
@@ -151,10 +152,11 @@ def table_told(table: list[dict], ways: Sequence[str]) -> list[str]:
             if (one["way"], one["rod"]) == (way, rod)
         }
         names = list(dict.fromkeys(name for _, name in cells))
-        lines += ["", " | ".join([f"| {rod}, {way}", *names]) + " |"]
-        lines.append("| --- " * (len(names) + 1) + "|")
+        lines += ["", " | ".join([f"| {rod}, {way}", *names, "mean"]) + " |"]
+        lines.append("| --- " * (len(names) + 2) + "|")
         for effect in dict.fromkeys(effect for effect, _ in cells):
             told = [_told(cells.get((effect, name))) for name in names]
+            told.append(_told_of_all(effect, cells, names))
             lines.append(" | ".join([f"| {EFFECTS[effect]}", *told]) + " |")
     return lines
 
@@ -165,6 +167,22 @@ def _told(cell: dict | None) -> str:
     errors = ", ".join(f"{cell['errors'][seed]:.3f}" for seed in sorted(cell["errors"]))
     over = cell["over_none"]
     return errors if over is None or cell["effect"] == "none" else f"{errors} ({over:.2f})"
+
+
+def _told_of_all(effect: str, cells: dict[tuple[str, str], dict], names: list[str]) -> str:
+    """The mean over patterns and seeds, of the trials of which there is one without an effect, and
+    over the mean of these."""
+    pairs = [
+        (error, cells["none", name]["errors"][seed])
+        for name in names
+        if {("none", name), (effect, name)} <= cells.keys()
+        for seed, error in cells[effect, name]["errors"].items()
+        if seed in cells["none", name]["errors"]
+    ]
+    if not pairs:
+        return "-"
+    mean, none = np.mean(pairs, axis=0)
+    return f"{mean:.3f}" if effect == "none" else f"{mean:.3f} ({mean / none:.2f})"
 
 
 def _looks_told(rows: list[dict]) -> list[str]:
