@@ -19,12 +19,9 @@ from wrod.kernels.contact.segments import (
     piece_weights,
 )
 from wrod.kernels.elastic.assembly import add_component, add_vector
-from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node
+from wrod.kernels.elastic.frames import ONE, TWO, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
-
-# So many times more or less is much.
-FAR = wp.constant(wp.float64(4.0))
 
 
 @wp.struct
@@ -181,28 +178,6 @@ def repulsion(law: PairLaw, depth: wp.float64, closing: wp.float64, dt: wp.float
 
 
 @wp.func
-def leading_slope(
-    law: PairLaw, normal: wp.vec2d, depth: wp.float64, closing: wp.float64, dt: wp.float64,
-    load: wp.float64,
-) -> wp.float64:  # fmt: skip
-    """Slope of the normal force that leads Newton's method. Where a pair presses much less or more
-    than it did with `load`, apart above all, it is that of the chord from there: the tangent of
-    what comes apart for an iteration is none, and lets the pair go through itself in the next."""
-    force = normal[0]
-    less = force < load / FAR
-    if not less and (force < FAR * load or law.hardening > ZERO):
-        return normal[1]
-    rest = wp.sqrt(TWO * load * law.skin / law.stiffness)
-    if rest > law.skin:
-        rest = load / law.stiffness + HALF * law.skin
-    lag = law.relaxation / dt
-    way = rest - (depth + lag * wp.min(closing, depth))
-    if less:
-        way = wp.max(way, HALF * rest)
-    return (ONE + lag) * (load - force) / way
-
-
-@wp.func
 def pair_contact(
     m: Pieces,
     rubbing: Rubbing,
@@ -234,8 +209,6 @@ def pair_contact(
         normal = repulsion(law, p, -wp.dot(motion, n), dt)
         out.force = normal[0]
         out.slope = normal[1]
-        if load > ZERO and not begins:
-            out.slope = leading_slope(law, normal, p, -wp.dot(motion, n), dt, load)
         if begins:
             pressed = wp.sqrt(TWO * load / (law.stiffness * law.skin))
             out.slope = wp.max(out.slope, law.stiffness * wp.min(ONE, pressed))

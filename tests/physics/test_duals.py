@@ -1,9 +1,8 @@
-"""Newton's method over the kinks of Coulomb's law, on springs that bristles hold, and of pairs."""
+"""Newton's method over the kink of Coulomb's law, on springs that one bristle holds."""
 
 import numpy as np
 import warp as wp
 from wrod.kernels.contact.duals import bristle_stiffness, next_dual
-from wrod.kernels.contact.pair_contact import PairLaw, leading_slope, repulsion
 
 COUNT, MOST = 400, 30
 STIFFNESS, LIMIT = 1.0e4, 1.0e-4
@@ -64,44 +63,3 @@ def test_duals_settle_what_directions_throw_to_and_fro():
     """The potential is strongly convex: what has no residual is at its only minimum."""
     assert ((residuals(False) > 1e-9).sum(axis=1) <= 10).all()
     assert (residuals(True)[:, -1] > 1e-9).mean() > 0.4
-
-
-@wp.kernel
-def press(
-    law: PairLaw,
-    load: wp.float64,
-    wanted: wp.array(dtype=wp.float64),
-    iterations: int,
-    depth: wp.array(dtype=wp.float64),
-    off_out: wp.array(dtype=wp.float64),
-):
-    """Newton's method for the depth at which a pair presses as wanted, from `depth`."""
-    i = wp.tid()
-    nothing = wp.float64(0.0)
-    dt = wp.float64(1.0)
-    for _k in range(iterations):
-        normal = repulsion(law, depth[i], nothing, dt)
-        slope = leading_slope(law, normal, depth[i], nothing, dt, load)
-        depth[i] = depth[i] + (wanted[i] - normal[0]) / slope
-    off_out[i] = wp.abs(repulsion(law, depth[i], nothing, dt)[0] / wanted[i] - wp.float64(1.0))
-
-
-def test_a_pair_that_comes_apart_comes_back():
-    """With nothing but its own force to hold it, where the tangent is none."""
-    skin, stiffness = 1e-2, 4.0
-    law = PairLaw()
-    law.stiffness, law.skin = stiffness, skin
-    load = 1e-3 * stiffness * skin
-    rest = np.sqrt(2.0 * load * skin / stiffness)
-    start, share = (
-        values.ravel()
-        for values in np.meshgrid(
-            rest * np.array([-300.0, -10.0, -1.0, 0.0, 0.01, 0.3, 1.0, 3.0, 20.0]),
-            np.array([0.8, 1.0, 1.5, 2.0, 4.0]),
-        )
-    )
-    arrays = [wp.array(v, dtype=wp.float64, device="cpu") for v in (share * load, start)]
-    off = wp.zeros(len(start), dtype=wp.float64, device="cpu")
-    inputs = [law, wp.float64(load), arrays[0], 10, arrays[1], off]
-    wp.launch(press, dim=len(start), inputs=inputs, device="cpu")
-    assert off.numpy().max() < 1e-9
