@@ -317,6 +317,7 @@ def test_from_far_off_bends_are_corrected_one_after_the_other():
     asked = []
 
     class Arm:
+        alone = True
         cost, task = 1e-9 * np.eye(3), SimpleNamespace(pattern=SimpleNamespace(length=9.0))
         corrections = SimpleNamespace(count=1, lgb=1.0)
 
@@ -345,6 +346,12 @@ def test_from_far_off_bends_are_corrected_one_after_the_other():
     finite = [end for end in asked if np.isfinite(end)]
     assert finite == sorted(finite) and set(finite) == {3.0, 6.0}
     assert np.isinf(asked[0])
+    # Of many plans that are made together what is far is left.
+    Arm.alone = False
+    asked.clear()
+    with pytest.raises(StopIteration):
+        next(descend(Arm(), False))
+    assert np.isinf(asked).all()
 
 
 def test_of_plans_with_several_remainders_that_is_taken_by_which_unseen_rods_lie_best(bend):

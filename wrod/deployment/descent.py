@@ -148,7 +148,8 @@ class Problem:
     """The squared errors of a sample of rods, and what corrections cost, near some corrections.
 
     With `alone` its meshes are its own, and a plan does not depend on which others are made with
-    it; without, more plans fit into a batch.
+    it, and what is far begins anew bend by bend, which takes ten times as long; without, more plans
+    fit into a batch.
     """
 
     def __init__(
@@ -260,7 +261,8 @@ def descend(problem: Problem, ahead: bool) -> Course[tuple[list[State], list[np.
     of them is not laid but comes beside the others."""
     states = [(yield from problem.at(np.zeros(3 * problem.corrections.count)))]
     last = yield from _steps(problem, states, ahead)
-    if min(one.measure for one in states) > _FAR * problem.corrections.lgb:
+    far = min(one.measure for one in states) > _FAR * problem.corrections.lgb
+    if far and problem.alone:
         states.append((yield from _bend_by_bend(problem)))
         last = yield from _steps(problem, states, ahead)
     return states, last
