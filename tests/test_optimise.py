@@ -279,14 +279,15 @@ def test_no_step_is_made_by_derivatives_that_ran_away(bend):
     np.testing.assert_array_equal(ended.value.value.position, trajectory.position)
 
 
-def _descended(share: float, lgb: float, ahead: bool = True):
+def _descended(share: float, lgb: float, ahead: bool = True, floor: float = 0.0):
     class Far:
-        """Three numbers that had better be 2; of what that promises a share comes true."""
+        """Three numbers that had better be 2; of what that promises a share comes true, and a floor
+        is left."""
 
         corrections = SimpleNamespace(count=1, lgb=lgb)
 
         def at(self, x):
-            value = 6.0 - share * (6.0 - 0.5 * float(np.sum((x - 2.0) ** 2)))
+            value = floor + 6.0 - share * (6.0 - 0.5 * float(np.sum((x - 2.0) ** 2)))
             return State(x, np.array([value]), value, value, np.eye(3), x - 2.0)
             yield
 
@@ -297,7 +298,7 @@ def _descended(share: float, lgb: float, ahead: bool = True):
     return [float(x[0]) for x in (*(one.values for one in states), *last)]
 
 
-@pytest.mark.parametrize("share, reached", [(1.0, 1.05), (0.3, 0.7)])
+@pytest.mark.parametrize("share, reached", [(1.0, 1.05), (0.6, 1.05), (0.3, 0.525)])
 def test_a_step_that_kept_its_promise_is_followed_by_a_longer_one(share, reached):
     np.testing.assert_allclose(_descended(share, 1.0)[:3], [0.0, 0.35, reached])
 
@@ -307,8 +308,11 @@ def test_steps_go_on_only_where_they_save_much_and_much_is_left():
     np.testing.assert_allclose(_descended(1.0, 1.0), [0.0, 0.35, 1.05, 2.0])
     np.testing.assert_allclose(_descended(1.0, 90.0), [0.0, 0.35, 1.05])
     # Each saves less than a fifth: the second is laid, and one more is the last.
-    np.testing.assert_allclose(_descended(0.3, 1.0), [0.0, 0.35, 0.7, 1.05])
-    np.testing.assert_allclose(_descended(0.3, 1.0, ahead=False), [0.0, 0.35, 0.7])
+    np.testing.assert_allclose(_descended(1.0, 1.0, floor=12.0), [0.0, 0.35, 1.05, 2.0])
+    np.testing.assert_allclose(_descended(1.0, 1.0, False, 12.0), [0.0, 0.35, 1.05])
+    # Each saves little of what it promised, and the next is half as long: that ends where no more
+    # is promised than a twentieth.
+    np.testing.assert_allclose(_descended(0.3, 1.0), [0.0, 0.35, 0.525])
 
 
 def test_from_far_off_bends_are_corrected_one_after_the_other():

@@ -42,9 +42,9 @@ _SIZE, _ROUGHNESS = 6e-3, 2e-2
 _LIMIT = 1e2
 # Largest change of a correction in one iteration [L_gb], what is left of it after a change for the
 # worse, and where that ends; what it grows by after one that was cut to it and saved more than this
-# part of what its model promised.
+# part of what its model promised, and what is left of a step that saved less.
 _STEP, _SHORTER, _SHORTEST = 0.35, 0.4, 0.01
-_LONGER, _KEPT_PROMISE = 2.0, 0.5
+_LONGER, _KEPT_PROMISE, _SHORT = 2.0, 0.5, 0.5
 # Steps of a plan at least, and at most: further ones where the last but one saved this part of the
 # error. A step from so near [L_gb] is not laid by itself: what more steps save from there on, on
 # fine meshes too, unseen rods do not feel.
@@ -131,6 +131,10 @@ class State:
     def saved(self, step: np.ndarray) -> float:
         """By the model, the share of the value that a step saves."""
         return float(-(self.slope + 0.5 * self.matrix @ step) @ step / max(self.value, 1e-300))
+
+    def kept(self, step: np.ndarray, tried: State) -> bool:
+        """Whether what it came to saved enough of what was promised."""
+        return self.value - tried.value > _KEPT_PROMISE * self.saved(step) * self.value
 
 
 @dataclass(frozen=True)
@@ -282,10 +286,11 @@ def _steps(problem: Problem, states: list[State], ahead: bool) -> Course[list[np
             return [best.values + step]
         tried = yield from problem.at(best.values + step)
         states.append(tried)
-        # A step that is taken back says nothing of a shorter one.
-        better = tried.measure < best.measure
-        last |= k >= _STEPS and better and tried.measure > (1.0 - _SAVED) * best.measure
-        idle = better and tried.measure > _DONE * best.measure
+        # A step that is taken back, or saves little of what it promised, says nothing of a shorter
+        # one.
+        as_said = tried.measure < best.measure and best.kept(step, tried)
+        last |= k >= _STEPS and as_said and tried.measure > (1.0 - _SAVED) * best.measure
+        idle = as_said and tried.measure > _DONE * best.measure
         best, radius = _better(best, tried, step, radius, damped)
         if idle or (last and not ahead) or not radius > _SHORTEST:
             break
@@ -321,5 +326,6 @@ def _better(
     step."""
     if not tried.measure < best.measure:
         return best, _SHORTER * min(radius, float(np.abs(step).max()))
-    kept = best.value - tried.value > _KEPT_PROMISE * best.saved(step) * best.value
-    return tried, radius * (_LONGER if damped and kept else 1.0)
+    if not best.kept(step, tried):
+        return tried, min(radius, _SHORT * float(np.abs(step).max()))
+    return tried, radius * (_LONGER if damped else 1.0)
