@@ -52,7 +52,7 @@ class Cantilever:
 
         s = np.linspace(0.0, 1.0, 400)
         guess = np.stack([-1.4 * (1.0 - np.exp(-3.0 * s)), 0 * s, 0.4 * s, -0.8 * s])
-        found = solve_bvp(rhs, ends, s, guess, tol=1e-9, max_nodes=50000)
+        found = solve_bvp(rhs, ends, s, guess, tol=1e-9, max_nodes=10000)
         if not found.success:
             raise RodError(
                 f"the cantilever hangs too steeply for its equation ({found.message}); "
