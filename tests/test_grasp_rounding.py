@@ -40,7 +40,12 @@ def solve(kind: str, closure: str, device: str, shaken: float = 0.0) -> dict[str
         part = rng.uniform(0.1, 0.85, COUNT) * GREEN.length
         lgb = GREEN.gravito_bending_length
         grasps = solve_rod_grasps(
-            varying(), part * (1.0 + shaken), kappa / lgb, closure=closure, device=device, roll=0.3
+            varying(),
+            part * (1.0 + shaken),
+            kappa / lgb,
+            closure=closure,
+            device=device,
+            held_roll=0.3,
         )
         units = {"position": grasps.length_unit, "rotation": 1.0, "force": grasps.force_unit}
     else:

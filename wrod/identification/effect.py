@@ -176,7 +176,7 @@ def checked_as_identification(data: Callable, **more: Callable) -> Callable[[Ask
         progress=arguments.optional(arguments.callback),
         **more,
     )
-    return lambda asks: checked(within_precision()(asks))
+    return lambda asks: within_precision()(checked(asks))
 
 
 @cache

@@ -135,6 +135,7 @@ def _estimates(values, active, covariance) -> tuple[dict[str, Estimate], float]:
     return estimates, float(apart.flat[np.abs(apart).argmax()])
 
 
+@within_precision()
 @arguments.checked(
     DataError,
     measurements=arguments.like("what wrod.load_laid returns", "pattern", "curves"),
@@ -143,7 +144,6 @@ def _estimates(values, active, covariance) -> tuple[dict[str, Estimate], float]:
     ),
     iterations=arguments.whole(1, 1000),
 )
-@within_precision()
 def fit_laid(
     measurements: LaidMeasurements,
     rod: RodModel | RodMaterial,
