@@ -27,7 +27,7 @@ def foreign(draw, words, files, folder) -> tuple[str, list[str]] | None:
     if file is None:
         return None
     made = emptied(folder / "foreign")
-    ways = _OF.get(file.suffix, dict)
+    ways = _OF.get(file.suffix, {})
     kinds = ways(file, made) if callable(ways) else ways
     if not kinds or draw.random() < 0.25:
         kinds = _anything(file.read_bytes())
