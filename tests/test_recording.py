@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 import warp as wp
-from vps import RADIUS, WEIGHT, rods
+from vps import RADIUS, STIFFNESS, WEIGHT, rods
+from wrod.kernels.elastic.bend_twist import bend_twist_energy
 
+from wrod.rods.state import RodState
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
-from wrod.solvers.statics import prescribe
+from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 DEVICES = [
     "cpu",
@@ -67,3 +69,34 @@ def test_long_ways_are_watched(device):
     assert len(seen) > 3 and (np.diff([times.min() for times in seen]) >= 0).all()
     again = dynamics.advance([0.1, 0.2, 0.3], 5e-4)
     assert (again.steps == progress.steps).all()
+
+
+def test_equilibria_of_a_rod_that_changes():
+    """A solver that goes on with what it recorded finds what a new one does, to the last bit: of
+    other stiffness and load, another law, and another energy."""
+    x = np.linspace(0.0, 0.07, 15)
+    batch = rods(np.column_stack([x, 0.02 * np.sin(20.0 * x), 0.0 * x])[None])
+    prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
+    solver, start = EquilibriumSolver(batch), RodState.zeros(1, 15, batch.device)
+    start.assign(batch.state)
+    changes = [
+        lambda: None,
+        lambda: batch.bending_stiffness.assign(0.5 * batch.bending_stiffness.numpy()),
+        lambda: batch.point_load.assign(np.full((1, 15, 3), WEIGHT / 15)),
+        lambda: batch.set_softening([1e-4, 0.2]),
+        lambda: batch.set_softening([2e-4, 0.1]),
+        lambda: batch.add_energy(bend_twist_energy, [0.1 * STIFFNESS, 0.0]),
+    ]
+    found, kept = [], []
+    for change in changes:
+        change()
+        before, ends = list(solver._recorded.values()), []
+        for one in (solver, EquilibriumSolver(batch)):
+            batch.state.assign(start)
+            assert one.solve().converged.all()
+            ends.append(batch.positions())
+        assert np.array_equal(*ends)
+        found.append(ends[0])
+        kept.append(before != [] and before[0] is next(iter(solver._recorded.values())))
+    assert kept == [False, True, True, False, True, False]
+    assert all(np.abs(np.diff(found, axis=0)).max(axis=(1, 2, 3)) > 1e-6)

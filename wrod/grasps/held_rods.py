@@ -30,6 +30,10 @@ class RodsOverTable(RodBatch):
 
     table_stiffness = 0.0
 
+    @property
+    def launched(self) -> tuple:
+        return (*super().launched, self.table_stiffness)
+
     def evaluate(self, *, order=2, state=None, out=None, active=None, **options) -> Derivatives:
         out = super().evaluate(order=order, state=state, out=out, active=active, **options)
         if self.table_stiffness > 0.0:

@@ -76,13 +76,18 @@ class BatchArrays(OnDevice):
         moments add up to a law of another form: (rod, node, 2) stiffness, of either sign but not 0,
         and (rod, node, 2) softening of each. They share the natural curvature."""
         shape = (self.rod_count, self.node_count, 2)
-        self.layers = [
+        new = [
             (
                 self._array("layer", stiffness, shape, wp.vec2d),
                 self._array("softening", softening, shape, wp.vec2d),
             )
             for stiffness, softening in layers
         ]
+        if len(new) != len(self.layers):
+            self.layers = new
+        for layer, values in zip(self.layers, new, strict=True):
+            for array, value in zip(layer, values, strict=True):
+                array.assign(value)
 
     def layer_model(self, layer: tuple[wp.array, wp.array]) -> list[wp.array]:
         """`elastic_model` of one of the `layers`: it bends, it neither stretches nor twists."""
@@ -110,7 +115,10 @@ class BatchArrays(OnDevice):
         value = np.atleast_1d(_floats("softening", softening))
         if value[..., 0].min() < 0.0:
             raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
-        self.softening = array
+        if hasattr(self, "softening"):  # what is recorded goes on with it
+            self.softening.assign(array)
+        else:
+            self.softening = array
         self.softens = bool(value[..., 0].any())
 
     def _inelastic(self, number) -> wp.array | None:

@@ -216,6 +216,15 @@ class RodBatch(BatchArrays):
             self.natural_twist,
         ]
 
+    @property
+    def launched(self) -> tuple:
+        """What launches are made of besides the numbers in the arrays: recorded ones serve as long
+        as it stays the same."""
+        arrays = [*self.elastic_model, self.node_mass, self.gravity, self.point_load, self.free]
+        arrays += [a for layer in self.layers for a in layer] + [a for _, a in self.energies]
+        kernels = [id(kernel) for kernel, _ in self.energies]
+        return (self.softens, len(self.layers), *kernels, *(a.ptr for a in arrays))
+
     def evaluate(
         self,
         *,

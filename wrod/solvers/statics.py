@@ -12,7 +12,7 @@ from wrod.kernels.stepping import newton_iteration as newton
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.banded import BandedSystem
-from wrod.solvers.inertia import rounding_of
+from wrod.solvers.inertia import rounding_of, usual_force
 from wrod.solvers.recording import is_only_thread, launching, record, replay
 
 # Largest change of an edge in one Newton step, as a fraction of its length.
@@ -44,7 +44,8 @@ class Equilibria:
 
 
 class EquilibriumSolver:
-    """Allocates once what `solve` needs for a batch; `solve` is a chain of launches.
+    """Allocates once what `solve` needs for a batch; `solve` is a chain of launches, which a CPU
+    keeps recorded for the next one. What the batch's arrays hold may change in between.
 
     Args:
         batch: the rods; their state is the starting guess and, afterwards, the result.
@@ -55,17 +56,10 @@ class EquilibriumSolver:
     def __init__(self, batch: RodBatch, force_scale: np.ndarray | None = None):
         self.batch = batch
         rods, device = batch.rod_count, batch.device
-        length = batch.rest_length.numpy().sum(axis=1)
-        if force_scale is None:
-            bend = batch.bending_stiffness.numpy()[:, 1:-1].max(axis=(1, 2)) / length**2
-            gravity = np.linalg.norm(batch.gravity.numpy(), axis=1)
-            weight = batch.node_mass.numpy().sum(axis=1) * gravity
-            load = np.linalg.norm(batch.point_load.numpy(), axis=2).sum(axis=1)
-            force_scale = np.maximum.reduce([bend, weight, load])
-        self.force_scale = wp.array(
-            np.broadcast_to(force_scale, (rods,)), dtype=wp.float64, device=device
+        self._given_scale = force_scale
+        self.force_scale, self.length_scale = (
+            wp.zeros(rods, dtype=wp.float64, device=device) for _ in range(2)
         )
-        self.length_scale = wp.array(length, dtype=wp.float64, device=device)
         self.system = BandedSystem(batch)
         self.trial = RodState.zeros(rods, batch.node_count, device)
         self.trial_derivatives = Derivatives.zeros(rods, 1, device)
@@ -86,6 +80,17 @@ class EquilibriumSolver:
             wp.zeros(1, dtype=wp.int32, device=device) for _ in range(4)
         )
         self._recorded: dict[tuple[int, bool], wp.Graph | None] = {}
+        self._launched = batch.launched
+
+    def _measure(self) -> None:
+        """Scales of the rods as they are now."""
+        batch = self.batch
+        length, scale = batch.rest_length.numpy().sum(axis=1), self._given_scale
+        if scale is None:
+            load = np.linalg.norm(batch.point_load.numpy(), axis=2).sum(axis=1)
+            scale = np.maximum(usual_force(batch), load)
+        self.force_scale.assign(np.broadcast_to(scale, length.shape))
+        self.length_scale.assign(length)
 
     @arguments.checked(
         RodError,
@@ -117,7 +122,10 @@ class EquilibriumSolver:
         """
         batch = self.batch
         rods = batch.rod_count
-        self._recorded.clear()  # arrays and laws may be others than before
+        self._measure()
+        if self._launched != batch.launched:
+            self._launched = batch.launched
+            self._recorded.clear()
         start = RodState.zeros(rods, batch.node_count, batch.device)
         start.assign(batch.state)
         begin = wp.clone(batch.state.dof)

@@ -65,6 +65,7 @@ class ClampedSolver:
         self._assign_sections(setups)
         prescribe(self.batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
         self.sensitivity = Sensitivity(self.batch, self.trial_count, self.edge_count)
+        self._equilibria = EquilibriumSolver(self.batch)
         self.principal = np.zeros(self.batch.rod_count)
         self.negative = np.zeros(self.batch.rod_count, dtype=int)
         self.branches: list[Branch] = []
@@ -80,6 +81,12 @@ class ClampedSolver:
         s = self.batch.state
         arrays = (s.dof, s.tangent, s.director, s.reference_twist)
         return (*(a.numpy().copy() for a in arrays), self.principal.copy())
+
+    def begin(self, setups: Sequence[ClampedSetup], saved: tuple[np.ndarray, ...]) -> None:
+        """Be as a new solver of these models, which begins with a saved state."""
+        self._assign(setups)
+        self.negative[:] = 0
+        self.restore(saved)
 
     def restore(self, saved: tuple[np.ndarray, ...], rods: np.ndarray | None = None) -> None:
         """Put a saved state back, for the given rods only if a mask (candidate x trial) is given.
@@ -139,14 +146,13 @@ class ClampedSolver:
         return reached.reshape(-1, self.trial_count)
 
     def _equilibrium(self, setups, targets, tolerance, patience=None) -> np.ndarray:
-        batch = self.batch
+        batch, solver = self.batch, self._equilibria
         wind = np.repeat(np.real([s.wind for s in setups]), self.trial_count, axis=0)
         windy = bool(np.any(wind))
         for _ in range(WIND_PASSES if windy else 1):
             before = batch.point_load.numpy().copy()
             load = wind_load(batch.positions(), wind) + np.real(dead_force(setups))
             batch.point_load.assign(load)
-            solver = EquilibriumSolver(batch)
             result = solver.solve(
                 prescribed=targets,
                 tolerance=tolerance,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 
 import numpy as np
@@ -42,6 +43,7 @@ class Laboratory:
         self.measurements, self.clock = measurements, Clock()
         # Each with its model, so that no other takes its place in memory.
         self._known: dict[tuple, tuple[Model, tuple[np.ndarray, ...]]] = {}
+        self._own = threading.local()
         self.edge_count, self.device = edge_count, device
         self.trials = np.arange(measurements.trial_count)
         self.base = ClampedSetup.base(measurements, self.trials, edge_count)
@@ -130,7 +132,8 @@ class Laboratory:
     def solver_at(
         self, model: Model, values: np.ndarray, trials: np.ndarray | None = None
     ) -> tuple[ClampedSolver, ClampedSetup]:
-        """Trials (default: all) at equilibrium with a model.
+        """Trials (default: all) at equilibrium with a model; the solver is this thread's, until it
+        asks for the same trials again.
 
         Raises:
             DataError: a trial has none.
@@ -138,13 +141,18 @@ class Laboratory:
         trials = self.trials if trials is None else trials
         base = ClampedSetup.base(self.measurements, trials, self.edge_count)
         key = _key(model, values, trials)
+        state = tuple(a[trials] for a in self.base_state)
+        solvers = self._own.__dict__  # by trials
+        solver = solvers.get(trials.tobytes())
+        if solver is None or solver.edge_count != self.edge_count:
+            solver = ClampedSolver([base], device=self.device, start=state)
+            solvers[trials.tobytes()] = solver
         if key in self._known:
-            solver = ClampedSolver([base], device=self.device, start=self._known[key][1])
+            solver.begin([base], self._known[key][1])
             setup = model.setup(base, values)
             if solver.solve([setup], walk=False).all():
                 return solver, setup
-        state = tuple(a[trials] for a in self.base_state)
-        solver = ClampedSolver([base], device=self.device, start=state)
+        solver.begin([base], state)
         setup = self._lead(solver, base, model, values)
         self.remember(model, values, trials, solver.saved())
         return solver, setup
