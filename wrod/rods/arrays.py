@@ -39,6 +39,7 @@ class BatchArrays(OnDevice):
     bending_stiffness: wp.array
     twisting_stiffness: wp.array
     natural_curvature: wp.array
+    softening: wp.array
     energies: list[tuple[wp.Kernel, wp.array]]
     layers: list[tuple[wp.array, wp.array]]
     cut_edges: tuple[int, ...]

@@ -142,7 +142,7 @@ class Laboratory:
         base = ClampedSetup.base(self.measurements, trials, self.edge_count)
         key = _key(model, values, trials)
         state = tuple(a[trials] for a in self.base_state)
-        solvers = self._own.__dict__  # by trials
+        solvers: dict[bytes, ClampedSolver] = vars(self._own).setdefault("of_trials", {})
         solver = solvers.get(trials.tobytes())
         if solver is None or solver.edge_count != self.edge_count:
             solver = ClampedSolver([base], device=self.device, start=state)
