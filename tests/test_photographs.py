@@ -13,7 +13,7 @@ from wrod.deployment.assembly import INTERNAL_DAMPING
 from wrod.deployment.discretisation import Discretisation
 from wrod.errors import DataError, RodError
 from wrod.identification.laid.camera import OverheadCamera, find_camera
-from wrod.identification.laid.choice import average, shrinkage, weigh
+from wrod.identification.laid.choice import average, simplest, spread, weigh
 from wrod.identification.laid.photographs import load_photograph, load_photographs
 from wrod.identification.laid.placement import raw, rigid, seen_from
 from wrod.identification.laid.scenario import (
@@ -174,6 +174,9 @@ def test_scenarios_are_weighed_by_the_pictures_they_are_near_to():
     assert weigh(np.array([[near, far], [far, near]])) == pytest.approx([0.5, 0.5])
     # A scenario whose simulation diverged is worse than any that misses by 6 mm, but no more.
     assert weigh(np.array([[6e-3], [np.inf]])) == pytest.approx([0.5, 0.5])
+    # Every picture in a scenario of its own: two of three are the first's.
+    mixed = weigh(np.array([[near, near, far], [far, far, near]]), 0.5e-3, mixture=True)
+    assert mixed == pytest.approx([2 / 3, 1 / 3], abs=1e-3)
     with pytest.raises(DataError, match="two or more"):
         weigh(np.zeros((3, 0)))
 
@@ -181,12 +184,12 @@ def test_scenarios_are_weighed_by_the_pictures_they_are_near_to():
 def test_what_was_fitted_is_taken_as_far_as_unseen_pictures_gain():
     nothing = np.full(8, 2e-3)
     better = nothing - 0.5e-3 * np.array([1.0, 0.8, 1.2, 1.0, 0.9, 1.1, 1.0, 1.0])
-    assert shrinkage(np.column_stack([nothing, 0.5 * (nothing + better), better])) == 2
+    assert simplest(np.column_stack([nothing, 0.5 * (nothing + better), better])) == 2
     # Half gain and half lose: what is gained on average is luck.
     lucky = nothing + 0.5e-3 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 0.9, -1.0])
-    assert shrinkage(np.column_stack([nothing, lucky])) == 0
-    assert shrinkage(np.column_stack([nothing, nothing + 1e-3])) == 0
-    assert shrinkage(np.zeros((1, 3))) == 0
+    assert simplest(np.column_stack([nothing, lucky])) == 0
+    assert simplest(np.column_stack([nothing, nothing + 1e-3])) == 0
+    assert simplest(np.zeros((1, 3))) == 0
 
 
 def test_drawn_scenarios_are_the_same_for_every_count():
@@ -254,6 +257,19 @@ def test_scenarios_are_averaged_at_equal_distance_from_the_grip():
     assert mean.nodes[:, 1] == pytest.approx(np.full(len(mean.nodes), 0.005))
     with pytest.raises(DataError, match="no scenario"):
         average([lost], scenarios[:1], np.ones(1))
+
+
+def test_spread_is_what_a_rigid_motion_leaves():
+    s = np.linspace(-0.25, 0.25, 101)
+    line = np.column_stack([s, 0.1 * s])
+    turned = line @ np.array([[1.0, 1e-3], [-1e-3, 1.0]]) + [3e-3, -2e-3]
+    assert spread(turned[None], np.ones(1), line).max() < 1e-8
+    # Of a bow, quadratic in s, the mean and the slope go; both ways count alike.
+    across = np.array([-0.1, 1.0]) / np.hypot(0.1, 1.0)
+    bow = 0.1 * s**2
+    lines = np.stack([line + sign * bow[:, None] * across for sign in (1.0, -1.0)])
+    found = spread(lines, np.array([0.3, 0.7]), line)
+    assert found == pytest.approx(np.abs(bow - bow.mean()), abs=1e-9)
 
 
 def test_mechanisms_of_waves_are_in_the_rod_both_ways_round():

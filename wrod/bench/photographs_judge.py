@@ -8,13 +8,18 @@ from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_scenarios import believed_scenario, scenarios_of
 from wrod.errors import DataError
 from wrod.identification.laid.camera import OverheadCamera, find_camera
-from wrod.identification.laid.choice import average, shrinkage, weigh
+from wrod.identification.laid.choice import aligned, average, simplest, spread, weigh
 from wrod.identification.laid.photographs import LaidPhotograph
-from wrod.identification.laid.placement import Parts, parts_of, raw, rigid
+from wrod.identification.laid.placement import Parts, foot, parts_of, raw, rigid
 from wrod.identification.laid.scenario import LaidRod, Scenario
 
-# How far a prediction goes from the model with nothing fitted to the mean of the scenarios.
-SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+# Ways of predicting, the simplest first: the model with nothing fitted (None), or the scenarios'
+# mean with their weights' softness [m], each picture of a rod in the same scenario or its own.
+SOFT = (4e-3, 2e-3, 1e-3, 0.5e-3)
+ONE, MIXTURE = "one scenario for all", "a mixture"
+WAYS = (None, *((kind, soft) for kind in (ONE, MIXTURE) for soft in SOFT))
+# What intervals of a prediction are to hold of the points seen.
+HELD = 0.8
 _OPTIMAL_WORLDS = 6
 # Of the start, by itself [m].
 FIRST = 0.22
@@ -23,10 +28,11 @@ FIRST = 0.22
 @dataclass(frozen=True)
 class Row:
     """One picture: mean distance [m] of the model with nothing fitted, raw and after one rigid
-    motion; of what the other pictures predict; of the scenarios weighted by the rod's other
-    pictures with nothing held back; and of the best scenario of all. Parts: of the model with
-    nothing fitted, mean distance [m] in the first `FIRST`, the rest that lies and what hangs, and
-    their shares of the squares."""
+    motion; of what the other pictures predict, by which way, and of the scenarios' means whatever
+    they gain, with the softness that serves the other pictures best; and of the best scenario of
+    all. Inside: share of the points seen that are in the intervals the rod's other pictures ask
+    for. Parts: of the model with nothing fitted, mean distance [m] in the first `FIRST`, the rest
+    that lies and what hangs, and their shares of the squares."""
 
     rod: str
     pattern: str
@@ -34,11 +40,12 @@ class Row:
     believed: float
     left_out_raw: float
     left_out: float
-    share: float
-    averaged: float
+    way: str
+    means: dict[str, float]
     best: float
     best_scenario: str
     uncertainty: float
+    inside: float
     parts: Parts
 
     def as_dict(self) -> dict:
@@ -54,8 +61,9 @@ class Verdict:
     Attributes:
         rod: its name; scenarios: by name.
         distances: (scenario, picture) mean distance after one rigid motion [m].
-        weights: (scenario,) by all pictures; share: of their mean in a prediction, the rest of it
-            the model with nothing fitted.
+        weights: (scenario,) by all pictures; fitted: whether their mean is predicted, otherwise
+            the model with nothing fitted; width: half width of an interval that holds `HELD` of
+            the points seen, over the spread.
         rows, predicted: per picture, without the pictures of its pattern.
         cameras: per picture, found in the pictures of other patterns; camera: in all.
     """
@@ -64,7 +72,8 @@ class Verdict:
     scenarios: dict[str, Scenario]
     distances: np.ndarray
     weights: np.ndarray
-    share: float
+    fitted: bool
+    width: float
     rows: tuple[Row, ...]
     predicted: tuple[LaidRod, ...]
     cameras: tuple[OverheadCamera, ...]
@@ -76,7 +85,7 @@ def judge(photographs: list[LaidPhotograph], laid: Deployments, drawn: int | Non
     its pictures.
 
     A picture is predicted without the pictures of its pattern, of any rod: camera, weights of the
-    scenarios and the share of their mean come from the other patterns.
+    scenarios, their softness and whether their mean is taken come from the other patterns.
     """
     scenarios = {rod: scenarios_of(rod, drawn) for rod in sorted({p.rod for p in photographs})}
     laid.prepare([(p, "int", scenarios[p.rod]) for p in photographs])
@@ -97,7 +106,7 @@ def judge(photographs: list[LaidPhotograph], laid: Deployments, drawn: int | Non
               list(scenarios[p.rod]).index(believed_scenario(p.rod)), cameras[p.pattern_name])
         for p, one, column in zip(photographs, rods, columns, strict=True)
     ]  # fmt: skip
-    # Costs (case, share) of predictions without a pattern's pictures and without the case's own.
+    # Costs (case, way) of predictions without a pattern's pictures and without the case's own.
     costs = dict(
         zip([None, *patterns],
             laid.map(_costs, [(cases, name) for name in (None, *patterns)]), strict=True)
@@ -105,17 +114,21 @@ def judge(photographs: list[LaidPhotograph], laid: Deployments, drawn: int | Non
     verdicts = []
     for rod, names in scenarios.items():
         own = [case for case in cases if case.photograph.rod == rod]
+        missed = [_missed(own, case) for case in own]
         rows, predicted = [], []
-        for case in own:
-            share = SHARES[shrinkage(costs[case.photograph.pattern_name])]
-            weights = _weights(own, case, share, {case.photograph.pattern_name})
-            full = _weights(own, case, 1.0, {case.photograph.pattern_name})
-            predicted.append(average(case.rods, case.scenarios, weights))
-            rows.append(_row(case, list(names), predicted[-1], share, full))
+        for case, (off, wide) in zip(own, missed, strict=True):
+            name = case.photograph.pattern_name
+            way = WAYS[simplest(costs[name])]
+            predicted.append(average(case.rods, case.scenarios, _weights(own, case, way, {name})))
+            others = [m for c, m in zip(own, missed, strict=True) if c is not case]
+            inside = float((off <= _width(others) * wide).mean())
+            means = _means(own, case, costs[name])
+            rows.append(_row(case, list(names), predicted[-1], way, means, inside))
         table = np.array([case.distances for case in own]).T
+        way = WAYS[simplest(costs[None])]
         verdicts.append(
-            Verdict(rod, names, table, weigh(table), SHARES[shrinkage(costs[None])], tuple(rows),
-                    tuple(predicted), tuple(case.camera for case in own), camera)
+            Verdict(rod, names, table, _weigh(table, way), way is not None, _width(missed),
+                    tuple(rows), tuple(predicted), tuple(case.camera for case in own), camera)
         )  # fmt: skip
     return verdicts
 
@@ -194,16 +207,21 @@ def _column(photograph, rods, camera) -> np.ndarray:
     return np.array([distances(photograph, one, camera)[1] for one in rods])
 
 
-def _weights(own, case, share, without) -> np.ndarray:
+def _weigh(distances, way) -> np.ndarray:
+    """(scenario,) weights of a way of predicting; where that is none, the usual ones."""
+    return weigh(distances) if way is None else weigh(distances, way[1], mixture=way[0] == MIXTURE)
+
+
+def _weights(own, case, way, without) -> np.ndarray:
     """(scenario,) weights for a picture of a rod, by its pictures of patterns not in `without`."""
     heard = [c.distances for c in own if c.photograph.pattern_name not in without]
-    weights = share * weigh(np.array(heard).T) if heard else np.zeros(len(case.scenarios))
-    weights[case.believed] += 1.0 - weights.sum()
-    return weights
+    if way is None or not heard:
+        return np.eye(len(case.scenarios))[case.believed]
+    return _weigh(np.array(heard).T, way)
 
 
 def _costs(cases, without) -> np.ndarray:
-    """(case, share) distances [m] of every picture not of that pattern, predicted without it and
+    """(case, way) distances [m] of every picture not of that pattern, predicted without it and
     its own pattern."""
     out = []
     for case in cases:
@@ -211,31 +229,66 @@ def _costs(cases, without) -> np.ndarray:
         own = [c for c in cases if c.photograph.rod == case.photograph.rod]
         if name == without or len({c.photograph.pattern_name for c in own} - {name, without}) < 1:
             continue
-        out.append(
-            [
-                distances(
-                    case.photograph,
-                    average(case.rods, case.scenarios, _weights(own, case, share, {name, without})),
-                    case.camera,
-                )[1]
-                for share in SHARES
-            ]
-        )
-    return np.array(out).reshape(-1, len(SHARES))
+        out.append([_cost(own, case, way, {name, without}) for way in WAYS])
+    return np.array(out).reshape(-1, len(WAYS))
 
 
-def _row(case, names, predicted, share, full) -> Row:
+def _cost(own, case, way, without) -> float:
+    rod = average(case.rods, case.scenarios, _weights(own, case, way, without))
+    return distances(case.photograph, rod, case.camera)[1]
+
+
+def _means(own, case, costs) -> dict[str, float]:
+    """Distance [m] of the scenarios' means, each with the softness of the least cost."""
+    total = np.minimum(costs, 6e-3).sum(axis=0)
+    out = {}
+    for kind in (ONE, MIXTURE):
+        of = [k for k, way in enumerate(WAYS) if way is not None and way[0] == kind]
+        way = WAYS[min(of, key=lambda k: total[k])]
+        out[kind] = _cost(own, case, way, {case.photograph.pattern_name})
+    return out
+
+
+def _missed(own, case) -> tuple[np.ndarray, np.ndarray]:
+    """Of every point seen: how far the model with nothing fitted misses it, and the spread there of
+    the scenarios that the rod's other pictures allow and the picture's own uncertainty [m]."""
+    p = case.photograph
+    mixture = _weights(own, case, (MIXTURE, 1e-3), {p.pattern_name})
+    # So little weight that the believed scenario is among them whatever the pictures say.
+    mixture[case.believed] += 1e-5 * mixture.max()
+    s, lines, weights = aligned(case.rods, case.scenarios, mixture)
+    line = average(case.rods, case.scenarios, np.eye(len(case.scenarios))[case.believed])
+    wide = spread(lines[:, :, :2], weights, line.nodes[:, :2])
+    placed = rigid(p, case.camera.view(p, line.arc_length, line.nodes))
+    at = foot(p, placed, line.arc_length)
+    return placed.distance, np.hypot(np.interp(at, s, wide), p.uncertainty)
+
+
+def _width(missed) -> float:
+    """Half width, over the spread, of intervals that hold `HELD` of the points seen, every picture
+    counting as much."""
+    if not missed:
+        return np.inf
+    ratio = np.concatenate([off / wide for off, wide in missed])
+    share = np.concatenate([np.full(len(off), 1.0 / len(off)) for off, _ in missed])
+    order = np.argsort(ratio)
+    below = np.cumsum(share[order]) / share.sum()
+    return float(ratio[order][np.searchsorted(below, HELD)])
+
+
+def _row(case, names, predicted, way, means, inside) -> Row:
     p = case.photograph
     return Row(
         p.rod,
         p.pattern_name,
         *distances(p, case.rods[case.believed], case.camera),
         *distances(p, predicted, case.camera),
-        share,
-        distances(p, average(case.rods, case.scenarios, full), case.camera)[1],
+        "nothing fitted" if way is None else f"{way[0]}, {1e3 * way[1]:g} mm",
+        means,
         float(case.distances.min()),
         names[int(case.distances.argmin())],
         float(np.median(p.uncertainty)),
+        inside,
         _parts(p, case.rods[case.believed], case.camera),
     )
 

@@ -3,13 +3,23 @@
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import norm
 
 from wrod.bench.photographs_deployments import Deployments
-from wrod.bench.photographs_judge import FIRST, Row, Verdict, scenarios_for_optimal
+from wrod.bench.photographs_judge import (
+    FIRST,
+    HELD,
+    MIXTURE,
+    ONE,
+    Row,
+    Verdict,
+    scenarios_for_optimal,
+)  # fmt: skip
 from wrod.bench.photographs_scenarios import scenarios_of
 from wrod.deployment.result import deployment_error
 from wrod.files import read_fields, write_figure, write_json, write_npz
 from wrod.identification.laid.camera import OverheadCamera
+from wrod.identification.laid.choice import spread
 from wrod.identification.laid.photographs import LaidPhotograph, load_photograph
 from wrod.identification.laid.placement import raw, rigid
 
@@ -23,30 +33,42 @@ def left_out_table(verdicts: list[Verdict]) -> str:
     lines = [
         "Mean distance of the points seen from the predicted rod [mm]: raw, after a rigid motion",
         "",
-        "| rod | pattern | nothing fitted | left out by pattern (share of the fit) | "
-        "the fit in full | best scenario |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| rod | pattern | nothing fitted | left out by pattern (how) | "
+        f"mean of the scenarios: {ONE} | {MIXTURE} | best scenario |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     rows = [row for verdict in verdicts for row in verdict.rows]
     for r in rows:
         lines.append(
             f"| {r.rod} | {r.pattern} | {1e3 * r.believed_raw:.1f}, {1e3 * r.believed:.1f} | "
-            f"{1e3 * r.left_out_raw:.1f}, {1e3 * r.left_out:.1f} ({r.share:g}) | "
-            f"{1e3 * r.averaged:.1f} | {1e3 * r.best:.1f} ({r.best_scenario}) |"
+            f"{1e3 * r.left_out_raw:.1f}, {1e3 * r.left_out:.1f} ({r.way}) | "
+            f"{1e3 * r.means[ONE]:.1f} | {1e3 * r.means[MIXTURE]:.1f} | "
+            f"{1e3 * r.best:.1f} ({r.best_scenario}) |"
         )
 
-    def within(name):
-        return sum(getattr(row, name) <= TARGET for row in rows)
-
+    ways = {
+        "nothing fitted": [r.believed for r in rows],
+        "left out by pattern": [r.left_out for r in rows],
+        **{
+            f"the scenarios' mean, {kind}": [r.means[kind] for r in rows] for kind in (ONE, MIXTURE)
+        },
+        "best of each": [r.best for r in rows],
+    }
     lines += [
         "",
-        f"within {1e3 * TARGET:g} mm after one rigid motion: nothing fitted {within('believed')}, "
-        f"left out by pattern {within('left_out')}, the fit in full {within('averaged')}, "
-        f"best of each {within('best')} of "
-        f"{len(rows)}; median {1e3 * np.median([r.believed for r in rows]):.1f}, "
-        f"{1e3 * np.median([r.left_out for r in rows]):.1f} and "
-        f"{1e3 * np.median([r.best for r in rows]):.1f} mm; the pictures' own uncertainty "
-        f"{1e3 * np.median([r.uncertainty for r in rows]):.1f} mm",
+        f"within {1e3 * TARGET:g} mm of {len(rows)}, mean and median [mm]: "
+        + "; ".join(
+            f"{name} {(np.array(off) <= TARGET).sum()}, {1e3 * np.mean(off):.2f}, "
+            f"{1e3 * np.median(off):.2f}"
+            for name, off in ways.items()
+        )
+        + f"; the pictures' own uncertainty {1e3 * np.median([r.uncertainty for r in rows]):.1f}",
+        f"intervals for {100 * HELD:.0f} % by the rod's other patterns hold of the points seen: "
+        + ", ".join(
+            f"{v.rod} {100 * np.mean([r.inside for r in v.rows]):.0f} % "
+            f"({v.width:.1f} times the scenarios' spread)"
+            for v in verdicts
+        ),
         _where(rows),
         f"camera: {_said(verdicts[0].camera)}; without the pattern: "
         + "; ".join(
@@ -83,17 +105,20 @@ def write_predictions(
     """Predict the optimal path's deployments: `prediction.json` and one NPZ per rod and pattern.
 
     Arrays: `centerline` (n, 2) [m on the table], `centerline_file` [m of the pattern's file],
-    `arc_length` (n,) [m], `sigma` (n,) spread across scenarios and what the intuitive pictures
-    leave unexplained [m], `as_seen` (m, 2) the same with the hanging part as the camera shows it
-    [m].
+    `arc_length` (n,) [m], `sigma` (n,) standard deviation across the rod: the scenarios'
+    spread there, times what the intuitive pictures ask for [m], `as_seen` (m, 2) the same with the
+    hanging part as the camera shows it [m].
     """
     found, files = {}, []
     for verdict in verdicts:
-        left = float(np.median([row.left_out for row in verdict.rows]))
+        own_error = float(np.median([row.uncertainty for row in verdict.rows]))
+        wider = verdict.width / norm.ppf(0.5 + 0.5 * HELD)
         # The model with nothing fitted comes first.
         scenarios = scenarios_for_optimal(verdict)
-        weights = np.append(1.0 - verdict.share, np.full(len(scenarios) - 1, verdict.share))
-        weights[1:] /= len(scenarios) - 1
+        weights = np.full(len(scenarios), 1.0 / (len(scenarios) - 1))
+        weights[0] = 0.0
+        if not verdict.fitted:
+            weights = np.eye(len(scenarios))[0]
         own = [p for p in photographs if p.rod == verdict.rod]
         laid.prepare([(p, "opt", scenarios) for p in own])
         for photograph in own:
@@ -108,11 +133,11 @@ def write_predictions(
             arrays, figures = _prediction(photograph, rods, share, verdict.camera)
             name = f"{photograph.rod}-{photograph.pattern_name}-opt"
             path = out / f"{name}.npz"
-            arrays["sigma"] = np.hypot(arrays["sigma"], left)
+            arrays["sigma"] = wider * np.hypot(arrays["sigma"], own_error)
             files.append(write_npz(path, **arrays))
             found[name] = figures | {
                 "scenarios": list(scenarios), "weights": weights.tolist(),
-                "expected_distance_mm": 1e3 * left,
+                "expected_distance_mm": 1e3 * float(arrays["sigma"].mean() * np.sqrt(2.0 / np.pi)),
             }  # fmt: skip
     found = {"cases": found, "practice": _practice(out, data)}
     path = out / "prediction.json"
@@ -125,9 +150,9 @@ def _prediction(photograph, rods, share, camera: OverheadCamera):
     s = np.linspace(0.0, length, _POINTS)
     lines = np.stack([[np.interp(s, one.arc_length, c) for c in one.nodes.T] for one in rods])
     mean = np.einsum("w,wcn->nc", share, lines)
-    off = lines[:, :2].transpose(0, 2, 1) - mean[:, :2]
     # All scenarios that the pictures allow, however little they move the mean.
-    spread = np.sqrt(0.5 * (off**2).sum(axis=2).mean(axis=0))
+    alike = np.full(len(lines), 1.0 / len(lines))
+    wide = spread(lines[:, :2].transpose(0, 2, 1), alike, mean[:, :2])
     errors = [deployment_error(photograph.pattern, one.arc_length, one.nodes) for one in rods]
     on_pattern = photograph.pattern.sample(np.linspace(0.0, photograph.pattern.length, 50))[0]
     nearest = [
@@ -141,7 +166,7 @@ def _prediction(photograph, rods, share, camera: OverheadCamera):
         "centerline": mean[:, :2],
         "centerline_file": mean[:, :2] / photograph.size_factor,
         "height": mean[:, 2],
-        "sigma": spread,
+        "sigma": wide,
         "as_seen": camera.view(photograph, s, mean),
     }
     return arrays, {

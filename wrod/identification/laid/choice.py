@@ -1,9 +1,10 @@
 """Which scenarios explain the photographs of a rod, and how far to trust what they say of others.
 
 Every picture is another trial: another grip, another excess, another free end. One best scenario
-would follow the accidents of the pictures that it was chosen by, so they are averaged instead, each
-with a weight that falls by e for every millimetre by which it is farther from the pictures. And
-their mean replaces the model with nothing fitted only as far as pictures that it has not seen gain.
+would follow the accidents of the pictures that it was chosen by, so they are averaged instead:
+weighted by all pictures together, as if these had been laid in one scenario, or as a mixture in
+which every picture has its own. Their mean replaces the model with nothing fitted only where
+pictures that it has not seen gain.
 """
 
 from collections.abc import Sequence
@@ -11,21 +12,25 @@ from collections.abc import Sequence
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.identification.laid.placement import normals
 from wrod.identification.laid.scenario import LaidRod, Scenario
 
 # A picture that a scenario misses by more than this says no more against it [m]: it may have been
 # laid with another excess, and the other pictures are to be heard too.
 _CAP = 6e-3
-# Mean distance over the pictures by which a scenario's weight falls by e [m].
+# Mean distance by which a scenario's weight falls by e [m].
 _SOFT = 1e-3
 _POINTS = 600
 
 
-def weigh(distances: np.ndarray) -> np.ndarray:
+def weigh(distances: np.ndarray, soft: float = _SOFT, *, mixture: bool = False) -> np.ndarray:
     """(scenario,) weights, summing to 1.
 
     Args:
         distances: (scenario, picture) mean distances [m]; infinite where a simulation diverged.
+        soft: by which a weight falls by e [m]: what the model itself misses.
+        mixture: weigh for each picture and take the mean of the weights, instead of weighing by
+            the mean over the pictures.
 
     Raises:
         DataError: no picture.
@@ -33,19 +38,20 @@ def weigh(distances: np.ndarray) -> np.ndarray:
     heard = np.minimum(np.asarray(distances, dtype=float), _CAP)
     if heard.ndim != 2 or heard.shape[1] < 1:
         raise DataError("no photograph to weigh scenarios by; leaving one out takes two or more")
-    mean = heard.mean(axis=1)
-    weights = np.exp(-(mean - mean.min()) / _SOFT)
-    return weights / weights.sum()
+    if not mixture:
+        heard = heard.mean(axis=1, keepdims=True)
+    weights = np.exp(-(heard - heard.min(axis=0)) / soft)
+    return (weights / weights.sum(axis=0)).mean(axis=1)
 
 
-def shrinkage(costs: np.ndarray) -> int:
-    """Which share of the fitted prediction to take, the first column being none of it.
+def simplest(costs: np.ndarray) -> int:
+    """Which way of predicting to take, the simplest being the first column.
 
-    The least share whose cost is within one standard error, over pictures, of the least cost: what
-    gains on average by the luck of a few pictures is not taken.
+    The first whose cost is within one standard error, over pictures, of the least cost: what gains
+    on average by the luck of a few pictures is not taken.
 
     Args:
-        costs: (picture, share) distances [m] of unseen pictures; cut at 6 mm.
+        costs: (picture, way) distances [m] of unseen pictures; cut at 6 mm.
     """
     heard = np.minimum(np.asarray(costs, dtype=float), _CAP)
     if len(heard) < 2:
@@ -59,7 +65,20 @@ def shrinkage(costs: np.ndarray) -> int:
 def average(rods: Sequence[LaidRod], scenarios: Sequence[Scenario], weights: np.ndarray) -> LaidRod:
     """The mean of one rod in many scenarios, at equal distance from the grip.
 
-    Those whose simulation did not get there are left out, and those of hardly any weight.
+    Those whose simulation did not get there are left out.
+
+    Raises:
+        DataError: none did.
+    """
+    s, lines, share = aligned(rods, scenarios, weights)
+    return LaidRod(s, np.einsum("k,knc->nc", share, lines), True)
+
+
+def aligned(
+    rods: Sequence[LaidRod], scenarios: Sequence[Scenario], weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Arc length (n,) [m], nodes (k, n, 3) [m] of one rod in those scenarios whose simulation got
+    there, at equal distance from the grip, and their weights (k,).
 
     Raises:
         DataError: none did.
@@ -68,14 +87,30 @@ def average(rods: Sequence[LaidRod], scenarios: Sequence[Scenario], weights: np.
     kept = [k for k, one in enumerate(rods) if one.reached and share[k] > 1e-6 * share.max()]
     if not kept:
         raise DataError("no scenario's simulation reached the end of the pattern")
-    share = share[kept] / share[kept].sum()
     longest = min(rods[k].arc_length[-1] - scenarios[k].excess for k in kept)
     s = np.linspace(0.0, longest, _POINTS)
-    nodes = np.zeros((_POINTS, 3))
-    for k, part in zip(kept, share, strict=True):
-        # The excess is beyond the pattern's start: what lies there is told apart from the grip.
-        at = s + scenarios[k].excess
-        nodes += part * np.column_stack(
-            [np.interp(at, rods[k].arc_length, c) for c in rods[k].nodes.T]
+    # The excess is beyond the pattern's start: what lies there is told apart from the grip.
+    lines = [
+        np.column_stack(
+            [np.interp(s + scenarios[k].excess, rods[k].arc_length, c) for c in rods[k].nodes.T]
         )
-    return LaidRod(s, nodes, True)
+        for k in kept
+    ]
+    return s, np.stack(lines), share[kept] / share[kept].sum()
+
+
+def spread(lines: np.ndarray, weights: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+    """(n,) RMS distance [m] of curves from a predicted one across it, each moved by the rigid
+    motion in the plane, to first order, that brings it nearest.
+
+    Args:
+        lines: (k, n, 2) [m]; weights: (k,), summing to 1; predicted: (n, 2) [m].
+    """
+    normal = normals(predicted)
+    off = ((lines - predicted) * normal).sum(axis=2)
+    arm = predicted - predicted.mean(axis=0)
+    turn = arm[:, 0] * normal[:, 1] - arm[:, 1] * normal[:, 0]
+    motions = np.column_stack([normal, turn / np.abs(arm).max()])
+    # A straight line slides along itself, so that one of the motions may tell nothing.
+    off = off - (motions @ np.linalg.lstsq(motions, off.T)[0]).T
+    return np.sqrt(weights @ off**2)

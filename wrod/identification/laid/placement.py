@@ -63,8 +63,7 @@ def parts_of(
     first: float,
 ) -> Parts:
     """The parts of a rod (node,), (node, 3) that was seen and placed, `first` long the first."""
-    near = cKDTree(placed.curve).query(photograph.points)[1]
-    s = _fine(arc_length)[near]
+    s = foot(photograph, placed, arc_length)
     hangs = np.interp(s, arc_length, nodes[:, 2]) > _LYING
     begins = (s - arc_length[0] < first) & ~hangs
     masks = begins, ~begins & ~hangs, hangs
@@ -73,6 +72,11 @@ def parts_of(
         tuple(float(placed.distance[k].mean()) if k.any() else float("nan") for k in masks),
         tuple(float(square[k].sum() / square.sum()) for k in masks),
     )
+
+
+def foot(photograph: LaidPhotograph, placed: Alignment, arc_length: np.ndarray) -> np.ndarray:
+    """(m,) arc length [m] of the place of a rod (node,) that is nearest to every point seen."""
+    return _fine(arc_length)[cKDTree(placed.curve).query(photograph.points)[1]]
 
 
 def _fine(arc_length: np.ndarray) -> np.ndarray:
@@ -116,7 +120,7 @@ def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
     points = photograph.points
     centre = points.mean(axis=0)
     scale = float(np.median(photograph.uncertainty))
-    normal = _normals(curve)
+    normal = normals(curve)
     distance, near = cKDTree(curve).query(points)
     motion, best = np.zeros(3), Alignment(curve, 0.0, np.zeros(2), distance)
     for _ in range(_ROUNDS):
@@ -147,7 +151,8 @@ def _fitted(points, foot, normal, centre, motion, scale):
     return least_squares(off, motion, loss="soft_l1", max_nfev=20).x
 
 
-def _normals(curve: np.ndarray) -> np.ndarray:
+def normals(curve: np.ndarray) -> np.ndarray:
+    """(n, 2) unit vectors to the left of a curve (n, 2)."""
     tangent = np.gradient(curve, axis=0)
     length = np.maximum(np.linalg.norm(tangent, axis=1), 1e-12)
     return np.column_stack([-tangent[:, 1], tangent[:, 0]]) / length[:, None]
