@@ -152,18 +152,19 @@ def factorise(
 @wp.func
 def substitute(factor: wp.array3d(dtype=wp.float64), r: int, p: int, x: wp.array3d(dtype=Any)):
     """Solve L U x = x in place. What is outside the matrix multiplies its first or last unknown by
-    zero, so that all rows are of one length."""
+    zero, so that all rows are of one length. What was found last comes last: a row then waits for
+    the one before by one product instead of ten."""
     n = x.shape[2]
     for a in range(n):
         value = x[r, p, a]
-        for k in range(1, 11):
-            value -= factor[r, a, 10 - k] * x[r, p, wp.max(a - k, 0)]
+        for m in range(10):
+            value -= factor[r, a, m] * x[r, p, wp.max(a - 10 + m, 0)]
         x[r, p, a] = value
     for back in range(n):
         a = n - 1 - back
         value = x[r, p, a]
-        for k in range(1, 11):
-            value -= factor[r, a, 10 + k] * x[r, p, wp.min(a + k, n - 1)]
+        for m in range(10):
+            value -= factor[r, a, 20 - m] * x[r, p, wp.min(a + 10 - m, n - 1)]
         x[r, p, a] = factor[r, a, 10] * value
 
 

@@ -173,23 +173,27 @@ def load_tangents(
     if accepted[r] == 0 or time[r] < begin[r, p]:
         return
     n = now.shape[2]
-    c = coefficient[r]
-    dt = step[r]
+    c = coefficient[r] / step[r]
+    # Of the acceleration and the velocity, by what was.
+    by_place = c[0] + air_damping[r]
+    touches = push[r, i][2] != ZERO
+    by_bristle = friction[r, i]
+    by_node = memory[r, i] - by_bristle
     for k in range(4):
         a = 4 * i + k
         if a < n:
             x = type(now[r, p, a])()
             if free[r, a] != 0:
-                v = (c[1] * now[r, p, a] + c[2] * older[r, p, a]) / dt
-                rate = (c[0] * v + c[1] * velocity[r, p, a] + c[2] * velocity_older[r, p, a]) / dt
-                x = -mass[r, a] * (rate + air_damping[r] * v)
+                m0 = -mass[r, a]
+                m1 = m0 * by_place
+                x = (m1 * c[1]) * now[r, p, a] + (m1 * c[2]) * older[r, p, a]
+                x += (m0 * c[1]) * velocity[r, p, a] + (m0 * c[2]) * velocity_older[r, p, a]
                 x -= elastic[r, a] * stiffness_rate[r, p]
-                if k < 3 and push[r, i][2] != ZERO:
+                if k < 3 and touches:
                     x -= by_coefficient[r, i][k] * friction_rate[r, p, i]
                     for m in range(3):
-                        held = friction[r, i][k, m]
-                        x -= held * (bristle[r, p, 3 * i + m] - now[r, p, 4 * i + m])
-                        x -= memory[r, i][k, m] * now[r, p, 4 * i + m]
+                        x -= by_bristle[k, m] * bristle[r, p, 3 * i + m]
+                        x -= by_node[k, m] * now[r, p, 4 * i + m]
                 if k < 3:
                     if i > 0 and wp.length_sq(torque[r, i - 1]) > ZERO:
                         x -= along(leaning(torque[r, i - 1], k), now, r, p, i - 1)
@@ -360,8 +364,8 @@ def advance_tangents(
     r, p, a = wp.tid()
     if accepted[r] == 0 or time[r] < begin[r, p]:
         return
-    c = coefficient[r]
-    v = (c[0] * x[r, p, a] + c[1] * now[r, p, a] + c[2] * older[r, p, a]) / step[r]
+    c = coefficient[r] / step[r]
+    v = c[0] * x[r, p, a] + c[1] * now[r, p, a] + c[2] * older[r, p, a]
     velocity_older[r, p, a] = velocity[r, p, a]
     velocity[r, p, a] = v
     older[r, p, a] = now[r, p, a]

@@ -5,7 +5,7 @@ from functools import cache
 from typing import Any
 
 import warp as wp
-from wrod.kernels.elastic.curvature import Component, component, stencil
+from wrod.kernels.elastic.curvature import component, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
 
 wp.set_module_options({"enable_backward": False})
@@ -22,6 +22,100 @@ def along(g: wp.vec3d, x: wp.array3d(dtype=Any), r: int, p: int, i: int):
     )
 
 
+@wp.struct
+class Strains:
+    """How the two curvatures and the twist at a node (rows), and the length of the edge after it,
+    answer to the edges around it; and what moments they make by flowing.
+
+    Attributes:
+        before, after: by the vectors of the edges.
+        angle_before, angle_after: by their angles.
+        tangent: of the edge after.
+        flow: bending moments by what damping remembers of the curvatures.
+        natural: bending moments by the natural curvature.
+        twist, pull: the like, by what it remembers of the twist and of the length.
+    """
+
+    before: wp.mat33d
+    after: wp.mat33d
+    angle_before: wp.vec3d
+    angle_after: wp.vec3d
+    tangent: wp.vec3d
+    flow: wp.mat22d
+    natural: wp.mat22d
+    twist: wp.float64
+    pull: wp.float64
+
+
+@wp.kernel
+def linearise_flow(
+    # Model, elastic:
+    rest_length: wp.array2d(dtype=wp.float64),
+    stretching: wp.array2d(dtype=wp.float64),
+    bending: wp.array2d(dtype=wp.vec2d),
+    natural_curvature: wp.array2d(dtype=wp.vec2d),
+    softening: wp.array2d(dtype=wp.vec2d),
+    twisting: wp.array2d(dtype=wp.float64),
+    viscous_time: wp.array2d(dtype=wp.vec4d),
+    # State in:
+    accepted: wp.array(dtype=wp.int32),
+    step: wp.array(dtype=wp.float64),
+    coefficient: wp.array(dtype=wp.vec3d),
+    dof: wp.array2d(dtype=wp.float64),
+    director: wp.array2d(dtype=wp.vec3d),
+    strain_before: wp.array2d(dtype=wp.vec4d),
+    strain_older: wp.array2d(dtype=wp.vec4d),
+    # Out:
+    strains_out: wp.array2d(dtype=Strains),
+):
+    """At node i and the edge after it, at the end of the step."""
+    r, i = wp.tid()
+    if accepted[r] == 0:
+        return
+    out = Strains()
+    eta = viscous_time[r, i]
+    h = rest_length[r, i]
+    out.tangent = wp.normalize(edge(dof, r, i))
+    out.pull = eta[3] * stretching[r, i] / h
+    if i > 0:
+        length = HALF * (rest_length[r, i - 1] + h)
+        # Of the grip's node a share of the cell is beyond the grip.
+        share = ONE
+        if i == rest_length.shape[1] - 1:
+            share = HALF * rest_length[r, i - 1] / length
+        s = stencil(dof, director, r, i)
+        first = component(s, 0)
+        second = component(s, 1)
+        binormal = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
+        out.before = wp.matrix_from_rows(first.e, second.e, binormal) / s.length_e
+        out.after = wp.matrix_from_rows(first.f, second.f, binormal) / s.length_f
+        out.angle_before = wp.vec3d(first.te, second.te, -ONE)
+        out.angle_after = wp.vec3d(first.tf, second.tf, ONE)
+        b = bending[r, i]
+        law = softening[r, i]
+        moment = wp.diag(b)
+        if law[0] != ZERO:
+            # M = B e (r + (1 - r) / D), D = 1 + 2 c (B_1 e_1^2 + B_2 e_2^2) / (B_1 + B_2).
+            c = coefficient[r] / step[r]
+            was = strain_before[r, i]
+            past = strain_older[r, i]
+            flow_1 = c[0] * first.kappa + c[1] * was[0] + c[2] * past[0]
+            flow_2 = c[0] * second.kappa + c[1] * was[1] + c[2] * past[1]
+            pulled = wp.vec2d(
+                b[0] * ((first.kappa + eta[0] * flow_1) / length - natural_curvature[r, i][0]),
+                b[1] * ((second.kappa + eta[1] * flow_2) / length - natural_curvature[r, i][1]),
+            )
+            by = TWO * law[0] / (b[0] + b[1])
+            d = ONE + by * (pulled[0] * pulled[0] / b[0] + pulled[1] * pulled[1] / b[1])
+            secant = law[1] + (ONE - law[1]) / d
+            fall = -(ONE - law[1]) / (d * d) * TWO * by
+            moment = secant * moment + fall * wp.outer(pulled, pulled)
+        out.flow = moment * wp.diag(wp.vec2d(eta[0], eta[1])) / length
+        out.natural = -share * moment
+        out.twist = eta[2] * twisting[r, i] / length
+    strains_out[r, i] = out
+
+
 @wp.kernel
 def measure_strain_rates(
     # Model:
@@ -29,8 +123,7 @@ def measure_strain_rates(
     # State in:
     accepted: wp.array(dtype=wp.int32),
     time: wp.array(dtype=wp.float64),
-    dof: wp.array2d(dtype=wp.float64),
-    director: wp.array2d(dtype=wp.vec3d),
+    strains: wp.array2d(dtype=Strains),
     x: wp.array3d(dtype=Any),
     # State in and out: (rod, pack, 4 i + k), curvatures, twist and |e| after node i
     now: wp.array3d(dtype=Any),
@@ -40,154 +133,122 @@ def measure_strain_rates(
     r, p, i = wp.tid()
     if accepted[r] == 0 or time[r] < begin[r, p]:
         return
+    a = 4 * i
     for k in range(4):
-        older[r, p, 4 * i + k] = now[r, p, 4 * i + k]
-    last = dof.shape[1] / 4
-    if i == last:
-        return
-    now[r, p, 4 * i + 3] = along(wp.normalize(edge(dof, r, i)), x, r, p, i)
+        older[r, p, a + k] = now[r, p, a + k]
+    s = strains[r, i]
+    f0 = x[r, p, a + 4] - x[r, p, a]
+    f1 = x[r, p, a + 5] - x[r, p, a + 1]
+    f2 = x[r, p, a + 6] - x[r, p, a + 2]
+    now[r, p, a + 3] = s.tangent[0] * f0 + s.tangent[1] * f1 + s.tangent[2] * f2
     if i == 0:
         return
-    s = stencil(dof, director, r, i)
-    te = x[r, p, 4 * i - 1]
-    tf = x[r, p, 4 * i + 3]
-    for k in range(2):
-        c = component(s, k)
-        rate = along(c.e / s.length_e, x, r, p, i - 1) + along(c.f / s.length_f, x, r, p, i)
-        now[r, p, 4 * i + k] = rate + c.te * te + c.tf * tf
-    binormal = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
-    rate = along(binormal / s.length_e, x, r, p, i - 1) + along(binormal / s.length_f, x, r, p, i)
-    now[r, p, 4 * i + 2] = rate + tf - te
+    e0 = x[r, p, a] - x[r, p, a - 4]
+    e1 = x[r, p, a + 1] - x[r, p, a - 3]
+    e2 = x[r, p, a + 2] - x[r, p, a - 2]
+    te = x[r, p, a - 1]
+    tf = x[r, p, a + 3]
+    for k in range(3):
+        rate = s.before[k, 0] * e0 + s.before[k, 1] * e1 + s.before[k, 2] * e2
+        rate += s.after[k, 0] * f0 + s.after[k, 1] * f1 + s.after[k, 2] * f2
+        now[r, p, a + k] = rate + s.angle_before[k] * te + s.angle_after[k] * tf
 
 
 @wp.func
-def take(
-    free: wp.array2d(dtype=wp.int32), r: int, p: int, a: int, value: Any, x: wp.array3d(dtype=Any)
-):
-    if free[r, a] != 0:
-        wp.atomic_sub(x, r, p, a, value)
-
-
-@wp.func
-def take_of_edges(
-    free: wp.array2d(dtype=wp.int32),
+def moments(
+    s: Strains,
+    c: wp.vec3d,
+    natural_rate: wp.array3d(dtype=Any),
+    now: wp.array3d(dtype=Any),
+    older: wp.array3d(dtype=Any),
     r: int,
     p: int,
     i: int,
-    e: wp.vec3d,
-    f: wp.vec3d,
-    value: Any,
-    x: wp.array3d(dtype=Any),
 ):
-    """`value` times a gradient by the edges around node i."""
-    for k in range(3):
-        take(free, r, p, 4 * i - 4 + k, -e[k] * value, x)
-        take(free, r, p, 4 * i + k, (e[k] - f[k]) * value, x)
-        take(free, r, p, 4 * i + 4 + k, f[k] * value, x)
+    """Rates of the two bending moments and of the torque at node i by what is remembered."""
+    a = 4 * i
+    kappa_1 = c[1] * now[r, p, a] + c[2] * older[r, p, a]
+    kappa_2 = c[1] * now[r, p, a + 1] + c[2] * older[r, p, a + 1]
+    torque = s.twist * (c[1] * now[r, p, a + 2] + c[2] * older[r, p, a + 2])
+    n_1 = natural_rate[r, p, 0]
+    n_2 = natural_rate[r, p, 1]
+    first = s.flow[0, 0] * kappa_1 + s.flow[0, 1] * kappa_2
+    second = s.flow[1, 0] * kappa_1 + s.flow[1, 1] * kappa_2
+    first += s.natural[0, 0] * n_1 + s.natural[0, 1] * n_2
+    second += s.natural[1, 0] * n_1 + s.natural[1, 1] * n_2
+    return first, second, torque
+
+
+@wp.func
+def answer(by: wp.mat33d, k: int, m0: Any, m1: Any, m2: Any):
+    """Column k of a matrix times three moments."""
+    return by[0, k] * m0 + by[1, k] * m1 + by[2, k] * m2
 
 
 @wp.kernel
 def load_flow(
-    # Model, elastic:
-    rest_length: wp.array2d(dtype=wp.float64),
-    stretching: wp.array2d(dtype=wp.float64),
-    bending: wp.array2d(dtype=wp.vec2d),
-    natural_curvature: wp.array2d(dtype=wp.vec2d),
-    softening: wp.array2d(dtype=wp.vec2d),
-    twisting: wp.array2d(dtype=wp.float64),
-    viscous_time: wp.array2d(dtype=wp.vec4d),
+    # Model:
+    begin: wp.array2d(dtype=wp.float64),
     # Rates of the natural curvature towards both principal directions:
     natural_rate: wp.array3d(dtype=Any),
-    begin: wp.array2d(dtype=wp.float64),
     # State in:
     accepted: wp.array(dtype=wp.int32),
     free: wp.array2d(dtype=wp.int32),
     time: wp.array(dtype=wp.float64),
     step: wp.array(dtype=wp.float64),
     coefficient: wp.array(dtype=wp.vec3d),
-    dof: wp.array2d(dtype=wp.float64),
-    director: wp.array2d(dtype=wp.vec3d),
-    reference_twist: wp.array2d(dtype=wp.float64),
-    strain_before: wp.array2d(dtype=wp.vec4d),
-    strain_older: wp.array2d(dtype=wp.vec4d),
+    strains: wp.array2d(dtype=Strains),
     now: wp.array3d(dtype=Any),
     older: wp.array3d(dtype=Any),
     # In and out:
     x: wp.array3d(dtype=Any),
 ):
-    """Minus the rates of the moments at node i, and of the pull of the edge after it, by what the
-    rod is at rest and by strains that damping remembers."""
+    """Minus the rates of what the moments at the nodes and the pull of the edges ask of node i and
+    of the angle of the edge after it, by what the rod is at rest and by strains that damping
+    remembers."""
     r, p, i = wp.tid()
     if accepted[r] == 0 or time[r] < begin[r, p]:
         return
     c = coefficient[r] / step[r]
-    eta = viscous_time[r, i]
     a = 4 * i
-    h = rest_length[r, i]
-    if eta[3] != ZERO:
-        t = wp.normalize(edge(dof, r, i))
-        pull = c[1] * now[r, p, a + 3] + c[2] * older[r, p, a + 3]
-        pull = (eta[3] * stretching[r, i] / h) * pull
-        for k in range(3):
-            take(free, r, p, a + k, -t[k] * pull, x)
-            take(free, r, p, a + 4 + k, t[k] * pull, x)
-    if i == 0:
-        return
-    length = HALF * (rest_length[r, i - 1] + h)
-    # Of the grip's node a share of the cell is beyond the grip.
-    share = ONE
-    if i == rest_length.shape[1] - 1:
-        share = HALF * rest_length[r, i - 1] / length
-    s = stencil(dof, director, r, i)
-    b = bending[r, i]
-    law = softening[r, i]
-    change_1 = (eta[0] / length) * (c[1] * now[r, p, a] + c[2] * older[r, p, a])
-    change_2 = (eta[1] / length) * (c[1] * now[r, p, a + 1] + c[2] * older[r, p, a + 1])
-    moment_1 = b[0] * (change_1 - share * natural_rate[r, p, 0])
-    moment_2 = b[1] * (change_2 - share * natural_rate[r, p, 1])
-    first = component(s, 0)
-    second = component(s, 1)
-    if law[0] != ZERO:
-        # M = B e (r + (1 - r) / D), D = 1 + 2 c (B_1 e_1^2 + B_2 e_2^2) / (B_1 + B_2).
-        was = strain_before[r, i]
-        past = strain_older[r, i]
-        flow_1 = c[0] * first.kappa + c[1] * was[0] + c[2] * past[0]
-        flow_2 = c[0] * second.kappa + c[1] * was[1] + c[2] * past[1]
-        e_1 = (first.kappa + eta[0] * flow_1) / length - natural_curvature[r, i][0]
-        e_2 = (second.kappa + eta[1] * flow_2) / length - natural_curvature[r, i][1]
-        by = TWO * law[0] / (b[0] + b[1])
-        d = ONE + by * (b[0] * e_1 * e_1 + b[1] * e_2 * e_2)
-        secant = law[1] + (ONE - law[1]) / d
-        fall = -(ONE - law[1]) / (d * d) * TWO * by
-        turn = fall * (e_1 * moment_1 + e_2 * moment_2)
-        moment_1 = secant * moment_1 + (b[0] * e_1) * turn
-        moment_2 = secant * moment_2 + (b[1] * e_2) * turn
-    take_of_bend(free, r, p, i, s.length_e, s.length_f, first, moment_1, x)
-    take_of_bend(free, r, p, i, s.length_e, s.length_f, second, moment_2, x)
-    if eta[2] != ZERO:
-        torque = c[1] * now[r, p, a + 2] + c[2] * older[r, p, a + 2]
-        torque = (eta[2] * twisting[r, i] / length) * torque
-        binormal = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
-        take_of_edges(free, r, p, i, binormal / s.length_e, binormal / s.length_f, torque, x)
-        take(free, r, p, a - 1, -torque, x)
-        take(free, r, p, a + 3, torque, x)
-
-
-@wp.func
-def take_of_bend(
-    free: wp.array2d(dtype=wp.int32),
-    r: int,
-    p: int,
-    i: int,
-    length_e: wp.float64,
-    length_f: wp.float64,
-    c: Component,
-    moment: Any,
-    x: wp.array3d(dtype=Any),
-):
-    take_of_edges(free, r, p, i, c.e / length_e, c.f / length_f, moment, x)
-    take(free, r, p, 4 * i - 1, c.te * moment, x)
-    take(free, r, p, 4 * i + 3, c.tf * moment, x)
+    # On the vectors of the edges before and after, and on the angle after.
+    e0 = type(x[r, p, a])()
+    e1 = type(x[r, p, a])()
+    e2 = type(x[r, p, a])()
+    f0 = type(x[r, p, a])()
+    f1 = type(x[r, p, a])()
+    f2 = type(x[r, p, a])()
+    if i < strains.shape[1] - 1:
+        s = strains[r, i]
+        m0, m1, m2 = moments(s, c, natural_rate, now, older, r, p, i)
+        pull = s.pull * (c[1] * now[r, p, a + 3] + c[2] * older[r, p, a + 3])
+        e0 = answer(s.before, 0, m0, m1, m2)
+        e1 = answer(s.before, 1, m0, m1, m2)
+        e2 = answer(s.before, 2, m0, m1, m2)
+        f0 = answer(s.after, 0, m0, m1, m2) + s.tangent[0] * pull
+        f1 = answer(s.after, 1, m0, m1, m2) + s.tangent[1] * pull
+        f2 = answer(s.after, 2, m0, m1, m2) + s.tangent[2] * pull
+        angle = s.angle_after[0] * m0 + s.angle_after[1] * m1 + s.angle_after[2] * m2
+        if i + 1 < strains.shape[1] - 1:
+            q = strains[r, i + 1]
+            q0, q1, q2 = moments(q, c, natural_rate, now, older, r, p, i + 1)
+            f0 += answer(q.before, 0, q0, q1, q2)
+            f1 += answer(q.before, 1, q0, q1, q2)
+            f2 += answer(q.before, 2, q0, q1, q2)
+            angle += q.angle_before[0] * q0 + q.angle_before[1] * q1 + q.angle_before[2] * q2
+        if free[r, a + 3] != 0:
+            x[r, p, a + 3] = x[r, p, a + 3] - angle
+    if i > 0:
+        o = strains[r, i - 1]
+        o0, o1, o2 = moments(o, c, natural_rate, now, older, r, p, i - 1)
+        drawn = o.pull * (c[1] * now[r, p, a - 1] + c[2] * older[r, p, a - 1])
+        e0 += answer(o.after, 0, o0, o1, o2) + o.tangent[0] * drawn
+        e1 += answer(o.after, 1, o0, o1, o2) + o.tangent[1] * drawn
+        e2 += answer(o.after, 2, o0, o1, o2) + o.tangent[2] * drawn
+    if free[r, a] != 0:
+        x[r, p, a] = x[r, p, a] + (f0 - e0)
+        x[r, p, a + 1] = x[r, p, a + 1] + (f1 - e1)
+        x[r, p, a + 2] = x[r, p, a + 2] + (f2 - e2)
 
 
 @cache

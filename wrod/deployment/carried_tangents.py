@@ -87,7 +87,7 @@ class Tangents:
         self.elastic = wp.zeros((rods, dofs), dtype=wp.float64, device=device)
         self.bends = bool(natural_curvature.any())
         self.strain, self.strain_older = zeros(4 * nodes), zeros(4 * nodes)
-        self.unstrained = per_node(wp.vec4d)
+        self.unstrained, self.strains = per_node(wp.vec4d), per_node(flow_tangents.Strains)
         self.matrix = banded_lu.NodeCoupled()
         self.matrix.hessian, self.matrix.coupling = batch.derivatives.hessian, self.coupling
         self.factor = wp.zeros((rods, dofs, banded_lu.BAND), dtype=wp.float64, device=device)
@@ -180,28 +180,33 @@ class Tangents:
         viscosity, batch = dynamics.viscosity, self.batch
         if not (self.bends or viscosity.exists):
             return
-        state, begun = batch.state, [self.begin, dynamics.accepted]
+        state, accepted = batch.state, dynamics.accepted
         rest, stretching, bending, _, natural, softening, twisting, _ = batch.elastic_model
         past = [self.unstrained] * 2
         if viscosity.exists:
             past = [viscosity.strain, viscosity.strain_older]
+        pace = [dynamics.step, dynamics.coefficient]
+        batch.launch(
+            flow_tangents.linearise_flow,
+            (batch.rod_count, batch.node_count - 1),
+            [rest, stretching, bending, natural, softening, twisting, viscosity.time, accepted]
+            + [*pace, state.dof, state.director, *past],
+            [self.strains],
+        )
         batch.launch(
             flow_tangents.load_flow,
-            (batch.rod_count, self.packs, batch.node_count - 1),
-            [rest, stretching, bending, natural, softening, twisting, viscosity.time]
-            + [self.natural_rate, *begun, batch.free, dynamics.time, dynamics.step]
-            + [dynamics.coefficient, state.dof, state.director, state.reference_twist, *past]
-            + [self.strain, self.strain_older],
+            (batch.rod_count, self.packs, batch.node_count),
+            [self.begin, self.natural_rate, accepted, batch.free, dynamics.time, *pace]
+            + [self.strains, self.strain, self.strain_older],
             [self.x],
         )
 
     def _measure_flow(self, dynamics: NewtonSteps) -> None:
         if dynamics.viscosity.exists:
-            state = self.batch.state
             self.batch.launch(
                 flow_tangents.measure_strain_rates,
-                (self.batch.rod_count, self.packs, self.batch.node_count),
-                [self.begin, dynamics.accepted, dynamics.time, state.dof, state.director, self.x],
+                (self.batch.rod_count, self.packs, self.batch.node_count - 1),
+                [self.begin, dynamics.accepted, dynamics.time, self.strains, self.x],
                 [self.strain, self.strain_older],
             )
 
