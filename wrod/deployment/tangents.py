@@ -27,6 +27,9 @@ from wrod.solvers.contact import FrictionField
 from wrod.solvers.recording import launching
 
 Watch = Callable[[np.ndarray], object]
+# What of a direction counts as nothing before it begins, over its largest: splines ring back from
+# there, by a quarter of it from pose to pose.
+_RINGING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -271,7 +274,8 @@ def _columns(trials, setups, directions: list[Directions], moves: list[np.ndarra
         left[:, :, None] * np.stack([in_principal(np.array([1.0, 0.0]), a) for a in held])[:, None]
     )
     friction = np.stack([_under(*each) for each in zip(trials, setups, directions, strict=True)])
-    moves = np.abs(path).max(axis=3) > 0.0
+    size = np.abs(path).max(axis=3)
+    moves = size > _RINGING * size.max(axis=2, keepdims=True)
     first = np.where(moves.any(axis=2), moves.argmax(axis=2) - 2, keys)
     always = (stiffness != 0.0) | (left != 0.0) | friction.any(axis=2)
     return path, friction, stiffness, bends, KEY_INTERVAL * np.where(always, -2, first)
