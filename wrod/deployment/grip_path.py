@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, RotationSpline
@@ -39,12 +40,13 @@ class GripPath:
         The contact moves at `speed` [m/s], and slower where the grip would have to move faster
         than on a straight line, where it goes down as fast as forward.
         """
-        count = max(int((self.last - self.first) / _PACE_SPACING), 8) + 1
-        laid = np.linspace(self.first, self.last, count)
+        # Points do not depend on the path's end: what is gone by then takes the time that it took.
+        cell = min(_PACE_SPACING, (self.last - self.first) / 8)
+        count = int(np.ceil((self.last - self.first) / cell - 1e-6))
+        laid = np.append(self.first + cell * np.arange(count), self.last)
         pace = np.linalg.norm(self._position(laid, 1), axis=1) / np.sqrt(2.0)
         pace = gaussian_filter1d(np.maximum(pace, 1.0), _PACE_WIDTH / _PACE_SPACING)
-        cell = laid[1] - laid[0]
-        way = np.concatenate([[0.0], np.cumsum(0.5 * cell * (pace[1:] + pace[:-1]))])
+        way = cumulative_trapezoid(pace, laid, initial=0.0)
         duration, covered = travel(float(way[-1]), speed)
         laid_at = PchipInterpolator(way, laid)
         return duration, lambda t: laid_at(np.clip(covered(t), 0.0, way[-1]))
