@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
+from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.expectation import FINE, PACE
 from wrod.deployment.places import Places
+from wrod.deployment.remembered import Remembered
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, interpolated
 from wrod.deployment.simulate import Trial
@@ -32,7 +34,9 @@ _MOST_CHANGE = 1.5
 _VARIES = 0.05
 # Change of a belief up to which what is believed to lie answers linearly, in these, and how often
 # it is made linear anew for a larger one.
-_LINEAR, _ITERATIONS = 0.2, 2
+_LINEAR, _ITERATIONS = 0.05, 2
+# Which of these moves all that lies, and nothing else.
+_PLACE = slice(3, 6)
 # Residual forces that are enough for what is believed, see `lay`: what lies changes by 1 um.
 _MESH = replace(FINE, tolerance=1e-4)
 # Points along a rod where friction by place is said to it.
@@ -104,6 +108,8 @@ class Beliefs:
         self.accounts = [Account(0.0 * same, np.diag(v), float(np.log(p))) for v, p in chances]
         # How far the robot has moved all that it does since [m], and turned it [rad].
         self.placed = np.zeros(3)
+        # For what deployments are laid, and what these have come to on the way.
+        self.about, self.remembered = 0.0 * same, Remembered()
 
     @property
     def account(self) -> Account:
@@ -124,7 +130,10 @@ class Beliefs:
     @property
     def field(self) -> FrictionField | None:
         """How friction varies over the table; None: it does not."""
-        varied = self.account.mean[len(_DOUBT) :]
+        return self._field(self.account.mean)
+
+    def _field(self, mean: np.ndarray) -> FrictionField | None:
+        varied = mean[len(_DOUBT) :]
         return self.places.field(varied) if varied.any() else self.told_field
 
     @property
@@ -136,6 +145,13 @@ class Beliefs:
     def yaw(self) -> float:
         """Of the robot about the pattern's beginning, likewise [rad]."""
         return float(self.mean[5] * _DOUBT[5])
+
+    @property
+    def linear(self) -> bool:
+        """Whether what is believed is so near to what deployments were laid for that what lies
+        answers linearly; to the robot's place it always does."""
+        apart = np.delete(self.account.mean - self.about, _PLACE)
+        return bool(np.abs(apart).max() <= _LINEAR)
 
     def drawn(self, count: int) -> np.ndarray:
         """(2 count, n) of what may be wrong, beside what is believed: in pairs that lie opposite
@@ -153,35 +169,57 @@ class Beliefs:
         mean /= _DOUBT
         mean = np.pad(mean, (0, self.places.count))
         self.accounts = [replace(one, mean=mean) for one in self.accounts]
-        self.told_field = field
+        self.about, self.told_field = mean, field
 
-    def trial(self, path: Trajectory, placed: np.ndarray | None = None) -> Trial:
-        """The deployment that is believed in, all of it `placed` (3,) [m, rad] elsewhere; the grip
-        stays where the path ends."""
-        mu, stiffness, natural, *_ = self.mean * _DOUBT
+    def trial(
+        self, path: Trajectory, placed: np.ndarray | None = None, mean: np.ndarray | None = None
+    ) -> Trial:
+        """The deployment that is believed in, or of another `mean`, all of it `placed` (3,) [m,
+        rad] elsewhere; the grip stays where the path ends."""
+        mean = self.account.mean if mean is None else mean
+        mu, stiffness, natural, *own = (mean[: len(_DOUBT)] * _DOUBT).tolist()
         x, y, turned = self.placed if placed is None else placed
-        x, y = self.offset + (x, y)
         how = Disturbance(
             lgb_error=float(np.exp(stiffness / 3.0) - 1.0),
-            natural_curvature=float(natural),
-            offset=(float(x), float(y)),
-            yaw=self.yaw + float(turned),
+            natural_curvature=natural,
+            offset=(own[0] + float(x), own[1] + float(y)),
+            yaw=own[2] + float(turned),
         )
         law = Friction(float(self.friction * np.exp(mu)))
         return Trial(self.pattern, self.rod, path, law, how, Tail.none(path))
 
-    def lay(
+    def felt(
         self,
         path: Trajectory,
-        columns: Directions | None = None,
+        more: Directions | None = None,
         placed: np.ndarray | None = None,
         **options,
     ) -> Course[Laid]:
-        """What is believed to lie at the end of a path."""
-        given = {"friction_field": self.field, "discretisation": _MESH, "speed": PACE, **options}
-        directions = None if columns is None else [columns]
-        (laid,) = yield Asked([self.trial(path, placed)], directions, given)
-        return laid
+        """What is believed to lie at the end of a path, and its derivatives by all that is believed
+        [m/deviation], and after these along `more`; all of it `placed` as in `trial`.
+
+        As long as what is believed is nearly what deployments were laid for, what lies answers
+        linearly, and these go on from where they have come to.
+        """
+        if not self.linear:
+            self.about = self.account.mean
+        apart = self.account.mean - self.about
+        directions = self._directions(path)
+        directions = directions if more is None else directions + more
+        mesh = meshed_to_the_end(options.pop("discretisation", _MESH), self.pattern)
+        how = {"friction_field": self._field(self.about), "speed": PACE, **options}
+        trial = self.trial(path, placed, self.about)
+        asked = [trial], [directions], how | {"discretisation": mesh}
+        (laid,) = yield Asked(*asked, self.remembered)
+        start = self.pattern.sample(-self.pattern.remainder_length)[0][0]
+        around = laid.centerline - start - [*trial.disturbance.offset, 0.0]
+        moved = np.zeros((3, *around.shape))
+        moved[0, :, 0] = moved[1, :, 1] = 1.0
+        moved[2] = np.cross([0.0, 0.0, 1.0], around)
+        moved *= _DOUBT[3:, None, None]
+        tangent = np.concatenate([laid.tangent[:3], moved, laid.tangent[3:]])
+        lies = laid.centerline + np.tensordot(apart, tangent[: len(apart)], 1)
+        return replace(laid, centerline=lies, tangent=tangent)
 
     def update(
         self, s: float, path: Trajectory, pictures: list[Seen], still: bool = False, **options
@@ -190,7 +228,7 @@ class Beliefs:
         square of what lies against what was believed before [m], and what is believed to lie since.
         Nothing has changed since the last look if the grip stood `still` ever since."""
         prior, misfit = self.accounts, None
-        # A Kalman filter, iterated: derivatives are those of what is believed in the end.
+        # A Kalman filter, iterated: derivatives are those of nearly what is believed in the end.
         for _ in range(_ITERATIONS):
             laid = yield from self.felt(path, **options)
             before, told = self.account.mean, prior
@@ -200,11 +238,11 @@ class Beliefs:
                 if misfit is None:
                     misfit = float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
             self.accounts = told
-            step = self.account.mean - before
-            if np.abs(step).max() <= _LINEAR:
+            if self.linear:
+                step = self.account.mean - before
                 moved = laid.centerline + np.tensordot(step, laid.tangent, 1)
                 return misfit, replace(laid, centerline=moved)
-        return misfit, (yield from self.lay(path, **options))
+        return misfit, (yield from self.felt(path, **options))
 
     def under(self, arc_length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Friction (n,) believed where a rod lies on the pattern at arc lengths (n,) [m], and the
@@ -215,30 +253,9 @@ class Beliefs:
         error = np.sqrt(np.einsum("ni,ij,nj->n", matrix, self.account.covariance, matrix))
         return self.friction * np.exp(matrix @ self.account.mean), error
 
-    def felt(
-        self,
-        path: Trajectory,
-        more: Directions | None = None,
-        placed: np.ndarray | None = None,
-        **options,
-    ) -> Course[Laid]:
-        """What is believed to lie, and its derivatives by all that is believed [m/deviation], and
-        after these along `more`; all of it `placed` as in `trial`."""
-        directions = self._directions(path)
-        directions = directions if more is None else directions + more
-        laid = yield from self.lay(path, directions, placed, **options)
-        start = self.pattern.sample(-self.pattern.remainder_length)[0][0]
-        x, y, _ = self.placed if placed is None else placed
-        around = laid.centerline - start - [*(self.offset + (x, y)), 0.0]
-        moved = np.zeros((3, *around.shape))
-        moved[0, :, 0] = moved[1, :, 1] = 1.0
-        moved[2] = np.cross([0.0, 0.0, 1.0], around)
-        moved *= _DOUBT[3:, None, None]
-        return replace(laid, tangent=np.concatenate([laid.tangent[:3], moved, laid.tangent[3:]]))
-
     def _directions(self, path: Trajectory) -> Directions:
         """Columns of all that is believed but the offset, per deviation."""
-        mu, stiffness, natural = self.trial(path).friction.static, *_DOUBT[1:3]
+        mu, stiffness, natural = self.trial(path, None, self.about).friction.static, *_DOUBT[1:3]
         at = np.linspace(0.0, self.rod.length, _ALONG)
         friction = np.column_stack([np.full(_ALONG, _DOUBT[0]), self.places.modes(at)]).T * mu
         rod = np.zeros((2, _ALONG))
@@ -249,6 +266,11 @@ class Beliefs:
             stiffness * one[1],
             natural * one[2],
         )
+
+
+def meshed_to_the_end(mesh: Discretisation, pattern: Pattern) -> Discretisation:
+    """For deployments of parts of a pattern, which go on from each other."""
+    return replace(mesh, laid=pattern.length + pattern.remainder_length)
 
 
 def told_by(laid: Laid, s: float, seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -43,10 +43,14 @@ class Tangents:
         self.batch, self.contact = batch, contact
         rods, nodes, dofs, device = batch.rod_count, batch.node_count, batch.dof_count, batch.device
         self.count = path.shape[1]
-        # Columns that begin together share a pack, which rests until then.
-        self.order = np.argsort(begin.min(axis=0), kind="stable")
+        # Columns that begin together share a pack, which rests until then; those that the grip's
+        # path has no part in come first, and others begin at `first_late` or later [s].
+        late = path.any(axis=(0, 2, 3))
+        self.order = np.lexsort((late, begin.min(axis=0)))
+        self.early_count = int(np.sum(~late))
+        self.first_late = float(begin[:, late].min(initial=np.inf))
         size = _PACK if wp.get_device(device).is_cpu else 1
-        packs = -(-self.count // size)
+        self.size, packs = size, -(-self.count // size)
         vector = kernels.vector_of(size)
 
         def packed(values):
@@ -97,6 +101,30 @@ class Tangents:
             wp.zeros((rods, nodes - 1), dtype=wp.vec3d, device=device) for _ in range(2)
         )
         self.packs = packs
+
+    @property
+    def _carried(self) -> list[wp.array]:
+        """(rod, pack, ...) of what is carried from step to step."""
+        carried = [self.now, self.older, self.velocity, self.velocity_older]
+        return [*carried, self.bristle, self.turned, self.strain, self.strain_older]
+
+    def early(self) -> list[np.ndarray]:
+        """(rod, column, ...) of all that is carried of the columns that the grip's path has no part
+        in."""
+        packs = -(-self.early_count // self.size)
+        taken = []
+        for one in self._carried:
+            values = np.moveaxis(one.numpy()[:, :packs], -1, 2)
+            taken.append(values.reshape(len(values), -1, values.shape[3])[:, : self.early_count])
+        return taken
+
+    def begin_with(self, taken: list[np.ndarray]) -> None:
+        """Carry on what `early` of the same columns has told, the others not having begun."""
+        for one, values in zip(self._carried, taken, strict=True):
+            whole = np.zeros((len(values), self.packs * self.size, values.shape[2]))
+            whole[:, : self.early_count] = values
+            whole = whole.reshape(len(values), self.packs, self.size, -1)
+            one.assign(np.ascontiguousarray(np.moveaxis(whole, 2, -1)))
 
     def follow(self, dynamics: NewtonSteps) -> None:
         """Carry the tangents over the accepted steps."""

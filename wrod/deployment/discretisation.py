@@ -21,6 +21,7 @@ class Discretisation:
         tolerance: of a step's residual forces, over the weight of one L_gb of rod.
         node_count: nodes of every rod instead of `spacing`, so that results do not depend on which
             trials are simulated together; None: what the longest needs.
+        laid: length of rod that is meshed as what is laid is [m]; None: what the trajectory lays.
 
     Raises:
         RodError: a number is not usable, or the scheme is none of the three.
@@ -31,6 +32,7 @@ class Discretisation:
     scheme: str = "bdf2"
     tolerance: float = 1e-5
     node_count: int | None = None
+    laid: float | None = None
 
     def __post_init__(self) -> None:
         arguments.check_fields(
@@ -41,6 +43,7 @@ class Discretisation:
             scheme=arguments.text,
             tolerance=arguments.number(1e-15, 1.0),
             node_count=arguments.optional(arguments.whole(4, 100_000)),
+            laid=arguments.optional(arguments.number(0.0, 1e3)),
         )
         if self.scheme not in SCHEMES:
             raise RodError(f"unknown scheme {self.scheme!r}; use one of {', '.join(SCHEMES)}")

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from wrod import arguments
-from wrod.deployment.beliefs import Beliefs, Beside, doubted
+from wrod.deployment.beliefs import Beliefs, Beside, doubted, meshed_to_the_end
+from wrod.deployment.discretisation import USUAL
+from wrod.deployment.remembered import Remembered
 from wrod.deployment.replanning import HORIZON, Moment
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, Sight
@@ -187,6 +189,7 @@ def following(
     rng = np.random.default_rng(sight.seed)
     beliefs, beside = Beliefs(pattern, rod, friction, hold), Beside()
     way = Way(trajectory).followed_by_tail(pattern, sight.hidden)
+    gone_on = Remembered()
 
     def really(path: Trajectory, **more) -> Course[Laid]:
         how = plant.disturbance
@@ -195,7 +198,8 @@ def following(
         how = replace(how, offset=tuple(offset), yaw=yaw, shaking_time=_SHAKING)
         trial = Trial(pattern, plant.rod, path, plant.friction, how, Tail.none(path))
         given = {"friction_field": plant.friction_field, **options, **more}
-        (laid,) = yield Asked([trial], None, given)
+        given["discretisation"] = meshed_to_the_end(given.get("discretisation", USUAL), pattern)
+        (laid,) = yield Asked([trial], None, given, gone_on)
         return laid
 
     def seen(lies: Laid, at: float) -> list[Seen]:
@@ -224,7 +228,7 @@ def following(
         misfit, laid = yield from beliefs.update(at, path, pictures)
         if known:
             beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
-            laid = yield from beliefs.lay(path)
+            laid = yield from beliefs.felt(path)
         for one in pictures:
             aside = beside.told(laid, at, one, gone)
         told = sum(doubted(laid, pattern, at, one, aside) for one in pictures)

@@ -160,10 +160,10 @@ def simulate_deployments(
     return shared_out(run, *chunks(len(trials), device, threads))
 
 
-def nodes_needed(trials: list[Trial], spacing: float) -> int:
-    """Nodes for edges of that length [m] where each rod is laid."""
+def nodes_needed(trials: list[Trial], spacing: float, laid: float | None = None) -> int:
+    """Nodes for edges of that length [m] where each rod is laid, or where `laid` [m] of it are."""
     refuse_coarse_edges([t.rod for t in trials], spacing)
-    return max(len(mesh(t.rod, t.trajectory.arc_length[-1], spacing)) for t in trials)
+    return max(len(mesh(t.rod, laid or t.trajectory.arc_length[-1], spacing)) for t in trials)
 
 
 @arguments.checked(RodError)
@@ -199,8 +199,8 @@ def prepare_trials(
     or of each; None is `hold`.
     """
     each = release if isinstance(release, Sequence) else [release] * len(trials)
-    spacing = discretisation.spacing
-    count = discretisation.node_count or nodes_needed(trials, spacing)
+    spacing, laid = discretisation.spacing, discretisation.laid
+    count = discretisation.node_count or nodes_needed(trials, spacing, laid)
     undisturbed: dict[tuple, Setup] = {}
     setups = []
     for trial, released in zip(trials, each, strict=True):
@@ -212,7 +212,7 @@ def prepare_trials(
                 pattern,
                 trial.rod,
                 trial.trajectory,
-                mesh(trial.rod, trial.trajectory.arc_length[-1], spacing, count),
+                mesh(trial.rod, laid or trial.trajectory.arc_length[-1], spacing, count),
                 trial.tail or tail(pattern, trial.rod, trial.trajectory),
                 hold=hold,
                 release=hold if released is None else released,

@@ -13,6 +13,7 @@ from wrod.deployment.assembly import assemble
 from wrod.deployment.carried_tangents import Tangents
 from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.grip_path import KEY_INTERVAL
+from wrod.deployment.remembered import Parts, Remembered
 from wrod.deployment.result import interpolation
 from wrod.deployment.setup import Setup, blend, one_hemisphere
 from wrod.deployment.sharing_out import chunks, shared_out
@@ -113,6 +114,7 @@ def lay(
     friction_field: FrictionField | None = None,
     device: str | None = "cpu",
     watch: Watch | None = None,
+    remembered: Remembered | None = None,
 ) -> list[Laid]:
     """Lay rods until the end of their patterns, with the derivatives of what lies.
 
@@ -131,6 +133,8 @@ def lay(
         hold, speed, discretisation, friction_field, device: see `simulate_deployments`;
             derivatives are those of "euler" and "bdf2".
         watch: called now and then with the (rod,) times [s]; what it raises ends the laying.
+        remembered: of one trial on a CPU: deployments before it, from which it goes on where it
+            began like one of them; of its directions, those that are not of the path alone tell.
 
     Raises:
         RodError: a trial has fixtures or lets the rod roll, the rod remembers how it was bent or
@@ -143,7 +147,8 @@ def lay(
     if displacements is None:
         displacements = [np.zeros((len(trial.trajectory), 6)) for trial in trials]
     released = release if isinstance(release, Sequence) else [release] * len(trials)
-    count = discretisation.node_count or nodes_needed(trials, discretisation.spacing)
+    spacing, fine = discretisation.spacing, discretisation.laid
+    count = discretisation.node_count or nodes_needed(trials, spacing, fine)
     mesh = replace(discretisation, node_count=count)
 
     def run(part: list[int], still_wanted: Callable[[], None]) -> list[Laid]:
@@ -156,7 +161,8 @@ def lay(
         told = None if directions is None else [directions[k] for k in part]
         with launching():
             setups = prepare_trials(given, hold, [released[k] for k in part], speed, mesh)
-            return _laid(given, setups, told, moved, mesh, device, friction_field, progress)
+            how = device, friction_field, progress, remembered
+            return _laid(given, setups, told, moved, mesh, *how)
 
     return shared_out(run, *chunks(len(trials), device))
 
@@ -170,6 +176,7 @@ def _laid(
     device: str,
     friction_field: FrictionField | None,
     progress: Watch,
+    remembered: Remembered | None,
 ) -> list[Laid]:
     """`lay` of the trials of one batch."""
     moves = [_over_keys(*one) for one in zip(trials, setups, displacements, strict=True)]
@@ -183,15 +190,25 @@ def _laid(
         keeps_recording=device == "cpu",
         friction_field=friction_field,
     )
+    tangents = None
     if columns is not None:
         dynamics.follower = tangents = Tangents(batch, contact, *columns)
+    if remembered is not None:
+        parts, (one,), (setup,) = Parts(batch, contact, dynamics, tangents), trials, setups
+        early = [c[0, ~columns[0][0].any(axis=(1, 2))] for c in columns[1:4]] if columns else []
+        how = one.disturbance
+        told = RodModel.of(one.rod), one.friction, how.lgb_error, how.natural_curvature
+        time = remembered.begun((*told, friction_field, discretisation, early), setup, parts)
+        for stop in remembered.stops(setup.measure_time, time):
+            dynamics.advance(stop, discretisation.step, progress=progress)
+            remembered.keep(stop, parts)
     end = dynamics.advance(
         np.array([s.measure_time for s in setups]), discretisation.step, progress=progress
     )
     # The last nodes are the ghosts of the grips.
     positions, slip = batch.positions()[:, :-1], contact.slip.numpy()[:, :-1]
     rates = np.zeros((len(trials), 0, *positions.shape[1:]))
-    if columns is not None:
+    if tangents is not None:
         rates = tangents.values()[:, :, :-1]
     laid = []
     for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):

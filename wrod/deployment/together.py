@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from wrod.deployment.discretisation import USUAL, Discretisation
+from wrod.deployment.remembered import Remembered
 from wrod.deployment.simulate import Trial, nodes_needed
 from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.rods.device import resolve_device
@@ -26,6 +27,8 @@ class Asked:
     Attributes:
         trials: what to lay.
         directions: of each trial, all with the same number of columns; None: no derivatives.
+        remembered: deployments of one trial from which it may go on: where it is laid alone on a
+            CPU it does. A GPU takes as long for one rod as for hundreds.
         how: options of `lay`. Rods whose discretisation has a node count are laid with those that
             have the same alone; of others a batch has the largest that any of them needs.
     """
@@ -33,6 +36,7 @@ class Asked:
     trials: list[Trial]
     directions: list[Directions] | None = None
     how: dict[str, Any] = field(default_factory=dict)
+    remembered: Remembered | None = None
 
 
 Course = Generator[Asked, list[Laid], T]
@@ -103,9 +107,12 @@ def _laid(asked: dict[int, Asked], options: dict[str, Any]) -> dict[int, list[La
             directions = [_padded(d, most) for d in every]
         meshes = [one.how.get("discretisation", USUAL) for one in ones]
         nodes = meshes[0].node_count or max(
-            nodes_needed(one.trials, mesh.spacing) for one, mesh in zip(ones, meshes, strict=True)
+            nodes_needed(one.trials, mesh.spacing, mesh.laid)
+            for one, mesh in zip(ones, meshes, strict=True)
         )
         given = {**options, **ones[0].how, "discretisation": replace(meshes[0], node_count=nodes)}
+        if len(trials) == 1 and given["device"] == "cpu":
+            given["remembered"] = ones[0].remembered
         given["release"] = [one.how.get("release") for one in ones for _ in one.trials]
         laid = lay(trials, directions, **given)
         for k, one in zip(members, ones, strict=True):
