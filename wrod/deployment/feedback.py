@@ -207,7 +207,7 @@ def following(
 
     s = trajectory.arc_length
     gone = float(s[min(int(np.searchsorted(s, hold)) + _LEAST_POSES, len(s) - 1)])
-    path, looks = way.until(gone).path, []
+    path, looks, returns = way.until(gone).path, [], []
     held: dict[str, Any] = {"release": gone + hold}
     lies = yield from really(path, **held)
     began = process_time()
@@ -232,10 +232,9 @@ def following(
         for one in pictures:
             aside = beside.told(laid, at, one, gone)
         told = sum(doubted(laid, pattern, at, one, aside) for one in pictures)
-        times = sum(look.back is not None for look in looks)
-        now = Moment(beliefs, way, gone, aside, horizon)
+        now = Moment(beliefs, way, gone, aside, horizon, returns)
         way, gone, back, kept = yield from now.replanned(
-            again and told > _BEYOND_NOISE and times < _MOST_TIMES
+            again and told > _BEYOND_NOISE and len(returns) < _MOST_TIMES
         )
         looks.append(_look(beliefs, path, at, misfit, process_time() - began, kept, back))
     return Followed(way.path, lies, looks)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -38,6 +38,9 @@ _RISE = 0.01
 # much then [m].
 _WRONG, _LOOKED_AT, _BEGINS, _BEFORE = 3e-4, 0.1, 0.5, 0.05
 _GAIN = 2e-5
+# Where the grip has gone back to about the same place before [m], it goes again only if that left
+# less than so much of the error.
+_THERE, _LEFT = 0.02, 0.7
 
 
 # Pairs of others that are as likely as what is believed, which judge a way that is corrected: they
@@ -61,14 +64,16 @@ class _Candidate:
 @dataclass(frozen=True)
 class Moment:
     """A moment of a deployment: what is believed, the way, how much of it is gone [m], how far what
-    lies near the contact is beside what is believed to (2,) [m], and how far ahead the path is
-    corrected [L_gb]."""
+    lies near the contact is beside what is believed to (2,) [m], how far ahead the path is
+    corrected [L_gb], and the laid lengths to which the grip has gone back, each with the error that
+    it went for [m]."""
 
     beliefs: Beliefs
     way: Way
     gone: float
     aside: np.ndarray
     horizon: float
+    returns: list[tuple[float, float]] = field(default_factory=list)
 
     def begun(self) -> Course[tuple[Way, np.ndarray, bool]]:
         """The way of a deployment that is begun anew; where the robot places all of it then (3,)
@@ -91,14 +96,19 @@ class Moment:
         now, after = (old, before) if kept else (new, after)
         s = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
         lately = (s > at - _LOOKED_AT) & (s <= at)
-        if not again or not lately.any() or before[lately].mean() < _WRONG:
+        wrong = float(before[lately].mean()) if lately.any() else 0.0
+        if not again or wrong < _WRONG:
             return now.way, self.gone, None, kept
         begins = float(s[lately & (before > _BEGINS * _WRONG)][0]) - _BEFORE
-        back, turn = self.way.back(self.gone, max(begins, beliefs.hold + _BEFORE))
+        begins = max(begins, beliefs.hold + _BEFORE)
+        if any(abs(to - begins) < _THERE and wrong > _LEFT * e for to, e in self.returns):
+            return now.way, self.gone, None, kept
+        back, turn = self.way.back(self.gone, begins)
         _, better, _, anew = yield from self._corrected(back, turn)
         gains = (after - better)[s <= at].sum() > _GAIN * METRIC_POINTS
         if not gains or not self._better(anew, now, at):
             return now.way, self.gone, None, kept
+        self.returns.append((begins, wrong))
         return anew.way, turn, anew.way.laid_at(turn), False
 
     def _better(self, new: _Candidate, old: _Candidate, reach: float = np.inf) -> bool:
