@@ -83,10 +83,12 @@ class Scene:
         law=None,
         mass=None,
         curled=False,
+        crossed=0.0,
+        hung=None,
         **options,
     ):
-        self.dt, self.states, self.ground = dt, states, ground
-        self.kinked = ground or law is not None  # forces have corners
+        self.dt, self.states, self.ground, self.crossed = dt, states, ground, crossed
+        self.kinked = ground or law is not None or crossed  # forces have corners
         self.options = {"tolerance": 1e-13, "max_iterations": 60} | options
         material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.3)
         if law is not None:
@@ -101,9 +103,16 @@ class Scene:
         if not together:
             builder.begin_world()
         self.hand = builder.add_link(is_kinematic=True)
+        weight = -1
+        if hung is not None:  # a body that moves with the rods
+            weight = builder.add_body(
+                xform=wp.transform(line[-1], wp.quat_identity()), mass=0.01,
+                com=wp.vec3(0.005, -0.0025, 0.0), inertia=wp.mat33(2e-6 * np.eye(3)),
+            )  # fmt: skip
+            ends = ends[0], hung
         SolverDER.add_rod(
             builder, line, material, start=ends[0], start_body=self.hand, end=ends[1],
-            internal_damping=internal, air_damping=0.3,
+            end_body=weight, internal_damping=internal, air_damping=0.3,
         )  # fmt: skip
         if attached:
             SolverDER.attach(builder, 0, self.hand, node=4)
@@ -111,6 +120,10 @@ class Scene:
             builder.end_world()
             builder.begin_world()
         other = line[:, [1, 0, 2]] * 1.1 - [0.2 * together, 0.0, 0.0]
+        if crossed:  # the second lies on the first, at this angle
+            way = np.array([np.cos(crossed), np.sin(crossed), 0.0])
+            line[:, 1:] = 0.0
+            other = line[2] + [0.003, 0.0, 0.00799] + (s - 0.08)[:, None] * way
         SolverDER.add_rod(
             builder, other, material, start="clamped", air_damping=0.6,
             internal_damping=internal, visible=False,
@@ -138,13 +151,19 @@ class Scene:
         if law is not None:  # stiffer about one axis than about the other
             bending = der.node_bending_stiffness.numpy() * [1.0, 0.7]
             der.node_bending_stiffness.assign(bending)
-        noise = 1e-5 if ground else 5e-4 if together else 0.003
+        noise = 1e-5 if ground or crossed else 5e-4 if together else 0.003
         self.start = {
             "node_q": der.node_q.numpy() + noise * rng.normal(size=(18, 3)),
-            "node_qd": 0.3 * rng.normal(size=(18, 3)),
+            "node_qd": (0.01 if crossed else 0.3) * rng.normal(size=(18, 3)),
             "edge_director": der.edge_director.numpy() + 0.2 * rng.normal(size=(16, 3)),
             "edge_spin": 3.0 * rng.normal(size=16),
         }
+        if crossed:
+            self.start["node_qd"][9:] += [0.05, 0.1, -0.1]
+        if hung is not None:  # what it holds begins on it
+            self.start["node_q"][7:9] = der.node_q.numpy()[7:9]
+            self.start["edge_director"][7] = der.edge_director.numpy()[7]
+        self.on_body = hung is not None
         # Rods that may touch go by radii in a step.
         n = np.arange(STEPS)[:, None] * (0.3 if together else 1.0)
         tilt = 0.0 if together else 0.3
@@ -303,9 +322,11 @@ def compare(scene, names, size=1e-4, **options):
             step *= 2.0**-4
         elif name in PROPERTIES and "natural" not in name:
             way *= getattr(scene.model.der, name).numpy()
+        if scene.on_body and name in STATE:
+            way[7:9] = 0.0
         little = ["edge_spin", "edge_stretching_stiffness"]  # which count little
-        if name in little or (name == "rod_air_damping" and scene.ground):
-            way *= 30.0
+        if name in little or (name == "rod_air_damping" and (scene.ground or scene.crossed)):
+            way *= 300.0 if scene.crossed and name == "edge_spin" else 30.0
         elif name == "node_q" and scene.kinked:  # the skin in which contact begins is thin
             way *= 0.01
         parts = found[name] * way
@@ -333,6 +354,23 @@ def test_gradients_against_differences(options, states):
     # Nothing damps what the midpoint rule lets ring: the loss is less smooth by what is stiff.
     size = 2e-5 if options.get("scheme") == "midpoint" else 5e-5
     compare(Scene(states=states, **options), EVERY, size=size)
+
+
+@pytest.mark.parametrize(
+    ("friction", "options"),
+    [
+        (0.2, {"crossed": 1.3}),
+        (5.0, {"crossed": 1.3, "scheme": "euler"}),
+        (0.2, {"crossed": 0.15, "dt": 0.005, "max_step": 0.003}),
+        (0.2, {"crossed": 1.3, "smooth_rods": True, "attached": True}),
+        (0.2, {"crossed": 1.3, "hung": "clamped"}),
+        (5.0, {"crossed": 1.3, "hung": "pinned", "scheme": "midpoint"}),
+    ],
+)
+def test_gradients_through_rods_on_each_other(friction, options):
+    """Of two that cross, or nearly lie along each other, and slide or stick; and where a free body
+    hangs on one of them."""
+    compare(Scene(rod_contact=friction, **options), EVERY, size=1e-5)
 
 
 @pytest.mark.parametrize(

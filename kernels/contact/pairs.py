@@ -5,7 +5,7 @@ which a node moves farther than that is refused. Bristles stay with the pairs th
 """
 
 import warp as wp
-from wrod.kernels.contact.pair_contact import Pieces, nearest_of_edges, piece_nodes
+from wrod.kernels.contact.pair_contact import Pieces, Rubbing, nearest_of_edges, piece_nodes
 from wrod.kernels.elastic.frames import HALF, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
@@ -167,3 +167,36 @@ def forget_partners(
     r, i = wp.tid()
     if chosen[r] != 0:
         partner_count_out[r, i] = 0
+
+
+@wp.kernel
+def keep_pairs(
+    # State in:
+    accepted: wp.array(dtype=wp.int32),
+    partner_count: wp.array2d(dtype=wp.int32),
+    partner: wp.array3d(dtype=wp.int32),
+    depth: wp.array3d(dtype=wp.float64),
+    rubbing: Rubbing,
+    # Out:
+    partner_out: wp.array3d(dtype=wp.int32),
+    kept_out: Rubbing,
+    touching_out: wp.array(dtype=wp.int32),
+):
+    """Put the pairs that touch at the end of an accepted step into slots, 0 for none; say of rods
+    whether there are more. Launched over (rod, edge)."""
+    r, i = wp.tid()
+    if accepted[r] == 0:
+        return
+    found = int(0)
+    for k in range(partner_count[r, i]):
+        if depth[r, i, k] > ZERO:
+            if found < partner_out.shape[2]:
+                partner_out[r, i, found] = partner[r, i, k]
+                kept_out.bristle[r, i, found] = rubbing.bristle[r, i, k]
+                kept_out.load[r, i, found] = rubbing.load[r, i, k]
+                kept_out.sliding[r, i, found] = rubbing.sliding[r, i, k]
+            else:
+                touching_out[r] = 1
+            found += 1
+    for k in range(found, partner_out.shape[2]):
+        partner_out[r, i, k] = 0

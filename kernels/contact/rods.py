@@ -33,8 +33,12 @@ wp.set_module_options({"enable_backward": False})
 
 
 # A load is out of date when it differs by more than this part; how often a step takes them anew.
+# Where loads are settled, also by a part of what the residual may be.
 STALE = wp.constant(wp.float64(0.05))
 MOST_RENEWALS = wp.constant(2)
+SETTLED = wp.constant(wp.float64(1.0e-10))
+NOTHING = wp.constant(wp.float64(0.01))
+MOST_TO_SETTLE = wp.constant(40)
 # Residual over the tolerance from which on loads are taken anew: to come nearer to balance under
 # the old ones is in vain. Ten times less costs knots that are pulled a sixth more iterations, ten
 # times more a tenth.
@@ -194,6 +198,7 @@ def renew_loads(
     # Model:
     m: Pieces,
     reach: wp.array(dtype=wp.float64),
+    settles: int,
     # State in:
     step: wp.array(dtype=wp.float64),
     converged: wp.array(dtype=wp.int32),
@@ -217,7 +222,7 @@ def renew_loads(
     out of date. A pair that meets in this step rubs from the next one on, and is told of where it
     came too far at once."""
     r, i = wp.tid()
-    renews = renewals[r] < MOST_RENEWALS
+    renews = renewals[r] < wp.where(settles != 0, MOST_TO_SETTLE, MOST_RENEWALS)
     if converged[r] == 0:
         if not renews or active[r] == 0:
             return
@@ -235,7 +240,10 @@ def renew_loads(
         if not renews:
             continue
         c = pair_contact(m, rubbing, step[r], dof, dof_before, False, r, i, j, k)
-        if wp.abs(c.force - old) > STALE * wp.max(c.force, old):
+        stale = STALE * wp.max(c.force, old)
+        if settles != 0:
+            stale = SETTLED * wp.max(c.force, old) + NOTHING * tolerance[r]
+        if wp.abs(c.force - old) > stale:
             slides = rubbing.sliding[r, i, k] != 0
             mu = wp.where(slides, m.law[r].kinetic_friction, m.law[r].static_friction)
             wanted = m.law[r].tangential * wp.length(c.stretched)

@@ -21,6 +21,7 @@ import warp as wp
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ONE, TWO, ZERO, edge, node
 from wrod.kernels.linear.banded_lu import ALONE, make_assembly, substitute_lanes
+from wrod.kernels.linear.skyline_lu import make_filling
 from wrod.kernels.stepping.dynamics import difference, drag_matrix, rate
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
@@ -190,6 +191,7 @@ def entry(m: StepMatrix, r: int, a: int, b: int) -> wp.float64:
 
 
 assemble = make_assembly(StepMatrix, entry)
+fill_coupled = make_filling(StepMatrix, entry)
 
 
 @wp.kernel

@@ -24,7 +24,8 @@ class OneStep:
     `until`; configurations are those where forces are taken, at the start (`before`) and a step
     earlier (`older`), velocities and strains of the last two; strains are there if the material is
     viscous, what friction remembers at the start (shape, node or edge) if something can be
-    touched, and if it keeps the roll how far bristles are turned."""
+    touched, and if it keeps the roll how far bristles are turned; and the pairs of edges that touch
+    at the end (edge, slot), with their bristles and whether they slid at the start."""
 
     active: wp.array(dtype=wp.int32)
     coefficient: wp.array(dtype=wp.vec3d)
@@ -50,6 +51,10 @@ class OneStep:
     edge_sliding: wp.array3d(dtype=wp.int32)
     turned: wp.array3d(dtype=wp.float64)
     edge_turned: wp.array3d(dtype=wp.float64)
+    pair_partner: wp.array3d(dtype=wp.int32)
+    pair_bristle: wp.array3d(dtype=wp.vec2d)
+    pair_load: wp.array3d(dtype=wp.float64)
+    pair_sliding: wp.array3d(dtype=wp.int32)
 
 
 @wp.func
@@ -147,7 +152,8 @@ class Wanted:
     of each edge's frame about it (`dof`), by velocities, by how far the reference frame has turned
     while the edge's has not (`turn`, of each edge), by the strains that a viscous material
     remembers, by the bristles (shape, node or edge) of friction and of what keeps the roll, and by
-    the curvatures that nodes have of their own whose bending remembers."""
+    the curvatures that nodes have of their own whose bending remembers, and by the bristles of
+    pairs of edges, with the later one of each (edge, slot)."""
 
     dof: wp.array2d(dtype=wp.float64)
     velocity: wp.array2d(dtype=wp.float64)
@@ -158,6 +164,8 @@ class Wanted:
     turned: wp.array3d(dtype=wp.float64)
     edge_turned: wp.array3d(dtype=wp.float64)
     lagging: wp.array2d(dtype=wp.vec2d)
+    pair_partner: wp.array3d(dtype=wp.int32)
+    pair_bristle: wp.array3d(dtype=wp.vec2d)
 
 
 @wp.kernel
@@ -175,3 +183,17 @@ def go_back(
         now[p].words[r, a] = before[p].words[r, a]
         before[p].words[r, a] = older[p].words[r, a]
         older[p].words[r, a] = 0
+
+
+@wp.kernel
+def drop(
+    # In:
+    chosen: wp.array(dtype=wp.int32),
+    # Out:
+    wanted: wp.array(dtype=Part),
+):
+    """Nothing is wanted of what was before the chosen rods began anew. Launched over
+    (rod, part, word)."""
+    r, p, a = wp.tid()
+    if chosen[r] != 0 and a < wanted[p].words.shape[1]:
+        wanted[p].words[r, a] = 0

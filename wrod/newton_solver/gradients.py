@@ -14,7 +14,7 @@ from wrod.errors import RodError
 from wrod.kernels.stepping import body_exchange_adjoint as body_kernels
 from wrod.kernels.stepping import carrying_adjoint as carrying_kernels
 from wrod.kernels.stepping import exchange_adjoint as kernels
-from wrod.kernels.stepping.trace import spoil
+from wrod.kernels.stepping.trace import drop, spoil
 from wrod.newton_solver.carried_gradients import CarriedGradients
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.meeting_gradients import MeetingGradients
@@ -114,7 +114,8 @@ class GroupGradients:
             air = layout.node_values("air_damping")
             touched = group.shape_contact
             per_mass = None if touched is None else touched.per_mass()
-            self._adjoint = StepAdjoint(group.dynamics, moved, air, per_mass)
+            law = group.pair_law
+            self._adjoint = StepAdjoint(group.dynamics, moved, air, per_mass, law)
             self._anchor = wp.zeros_like(self._adjoint.held)
             one = np.ones(layout.ghost.shape)
             share = of_free_part(layout.free_share, twisting_stiffness=one, natural_twist=one)
@@ -245,6 +246,8 @@ class GroupGradients:
             [now, adjoint.model.rest_length],
         )
         batch.launch(kernels.want_nodes_read, shape, [group.place], [now, by_q, by_qd])
+        for level in adjoint.levels[:2]:
+            level.launch(drop, [taken.changed], [level.part])
         if taken.previous is not None:
             taken.previous.wanted = [level.clone() for level in adjoint.levels[:2]]
             taken.previous.wanted_of_poses = by_before

@@ -16,6 +16,7 @@ from wrod.rods.state import RodState
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.contact import Friction
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.pair_adjoint import LawShares
 from wrod.solvers.rod_contact import RodContact
 
 # Rods against each other: at least this stiff, in EA / radius, or by so many times an edge's weight
@@ -79,6 +80,7 @@ class RodGroup:
                 contact_stiffness,
             )  # fmt: skip
         self.contact = None if self.shape_contact is None else self.shape_contact.contact
+        self.pair_law: LawShares | None = None
         self.rod_contact = self._make_rod_contact(records, **rods)
         self.body_contact = None
         if owned is not None and colliding[owned["index"][owned["mass"] > 0]].any():
@@ -141,13 +143,8 @@ class RodGroup:
         radius = self._edge_values("radius")
         passive = ~touches | self.layout.near_clamps(holds, radius)
         if stiffness is None:
-            edge = self.batch.rest_length.numpy() * self.layout.line_density()[:, :-1]
-            force = np.maximum(
-                _PAIR_STIFFNESS * self.batch.stretching_stiffness.numpy(),
-                _PAIR_WEIGHTS * _STANDARD_GRAVITY * edge,
-            )
-            stiffness = (force / radius).max(axis=1)
-        return RodContact(
+            stiffness = self._pair_stiffness(radius)
+        contact = RodContact(
             self.batch,
             radius,
             Friction(friction),
@@ -160,6 +157,33 @@ class RodGroup:
             passive=passive,
             smooth=smooth,
         )
+        contact.settles_loads = self.model.requires_grad
+        return contact
+
+    def _pair_stiffness(self, radius: np.ndarray) -> np.ndarray:
+        """(row,) of pairs of edges, that of the stiffest or heaviest edge; notes how it follows
+        what rods are made of."""
+        batch, layout = self.batch, self.layout
+        length, pull = batch.rest_length.numpy(), batch.stretching_stiffness.numpy()
+        weight = _PAIR_WEIGHTS * _STANDARD_GRAVITY * length * layout.line_density()[:, :-1]
+        found = np.maximum(_PAIR_STIFFNESS * pull, weight) / radius
+        row = np.arange(len(found))
+        most = row, found.argmax(axis=1)
+        heavy = (weight > _PAIR_STIFFNESS * pull)[most][:, None]
+        one = np.zeros_like(found)
+        one[most] = 1.0
+        rod = layout.rod[most][:, None]
+        edges = (layout.rod[:, :-1] == rod) & (layout.places["owns"][:, :-1] != 0)
+        nodes = (layout.rod == rod) & ~layout.ghost
+        in_all = [m / np.where(m, v, 0.0).sum(axis=1, keepdims=True)
+                  for m, v in ((edges, length), (nodes, batch.node_mass.numpy()))]  # fmt: skip
+        self.pair_law = LawShares(
+            ~heavy * one / pull[most][:, None],
+            -one,
+            heavy * (one / length[most][:, None] - in_all[0]),
+            heavy * in_all[1],
+        )
+        return found[most]
 
     def refresh_gravity(self) -> None:
         self.batch.gravity.assign(self._gravity())

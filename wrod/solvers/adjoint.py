@@ -20,6 +20,7 @@ from wrod.solvers.contact_adjoint import ContactAdjoint
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.flow_adjoint import FlowAdjoint
 from wrod.solvers.inertia import add_inertia
+from wrod.solvers.pair_adjoint import LawShares, PairAdjoint
 from wrod.solvers.property_adjoint import PropertyAdjoint
 from wrod.solvers.step_parts import StepParts
 from wrod.solvers.steps import SCHEMES
@@ -70,6 +71,7 @@ class StepAdjoint:
         moved: np.ndarray,
         air_of_mass: np.ndarray | None = None,
         stiffness_of_mass: np.ndarray | None = None,
+        pair_law: LawShares | None = None,
     ):
         require_differentiable(dynamics)
         batch = self.batch = dynamics.batch
@@ -107,6 +109,8 @@ class StepAdjoint:
         self._spin_inertia, self._wanted = floats(nodes - 1), floats(dofs)
         self._contact = ContactAdjoint(dynamics, stiffness_of_mass)
         self.by_friction, self.by_shape = self._contact.by_friction, self._contact.by_shape
+        turns = self._by_end, self._by_start
+        self._pairs = PairAdjoint.of(dynamics, self.step, turns, pair_law)
         self._past = None if batch.inelastic is None else FlowAdjoint(batch)
         skew, rate = floats(0), floats(0, 0, dtype=wp.vec2d)
         if self._past is not None:
@@ -124,6 +128,7 @@ class StepAdjoint:
         moved = np.asarray(moved, dtype=np.int32)
         self._x = floats(1, dofs, dtype=banded_lu.ALONE)
         if self.bodies is not None:
+            self.bodies.pairs = self._pairs
             carried = (dynamics.bodies.carried.numpy() != 0) & (batch.free.numpy() == 0)
             moved = np.where(carried, 2, moved)
             self._x = self.bodies.x
@@ -204,6 +209,8 @@ class StepAdjoint:
         self.by_spins.zero_()
         friction = (self.now, self.before), self._x, self._properties
         self._contact.want_friction(self.step, *friction)
+        if self._pairs is not None:
+            self._pairs.want_before(self.now, self.before, self.model)
         levels = self.before, self.older
         self._properties.want(record.gravity, self.step, self._x, levels)
         self._want_before()
@@ -279,13 +286,22 @@ class StepAdjoint:
             [self._spin_inertia, self._moment],
         )  # fmt: skip
         self._contact.add(step, self.now, at, self._matrix)
+        if self._pairs is not None:
+            self._pairs.weigh(self.now, at.gradient, self._moment)
         batch.launch(
             kernels.assemble,
             (rods, dofs),
-            [step.active, batch.free, self._matrix],
+            [self._banded, batch.free, self._matrix],
             [self._factor],
         )
-        batch.launch_lanes(banded_lu.factorise, [step.active], [self._factor])
+        batch.launch_lanes(banded_lu.factorise, [self._banded], [self._factor])
+        if self._pairs is not None:
+            self._pairs.factorise(self._matrix)
+
+    @property
+    def _banded(self) -> wp.array:
+        """(rod,) whose matrix of the step is banded."""
+        return self.step.active if self._pairs is None else self._pairs.banded
 
     def _solve(self) -> None:
         batch, step, now = self.batch, self.step, self.now
@@ -299,7 +315,9 @@ class StepAdjoint:
         )
         if self.bodies is not None:
             self.bodies.load(step, self._matrix, self.gradient, now)
-        batch.launch_lanes(kernels.solve, [step.active, self._factor], [self._x])
+        batch.launch_lanes(kernels.solve, [self._banded, self._factor], [self._x])
+        if self._pairs is not None:
+            self._pairs.solve(self._x)
         if self.bodies is not None:
             self.bodies.solve(step, self._wanted)
         batch.launch(
@@ -308,6 +326,8 @@ class StepAdjoint:
             [batch.free, step.active, self._matrix, self._wanted, self._x],
             [self._held],
         )
+        if self._pairs is not None:
+            self._pairs.want_held(self._held)
         batch.launch(
             kernels.want_turns_before,
             (rods, nodes - 1),

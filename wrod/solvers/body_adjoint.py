@@ -12,6 +12,7 @@ from wrod.kernels.stepping import body_system
 from wrod.kernels.stepping.bodies import BodyMotion
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.carried_adjoint import CarriedAdjoint
+from wrod.solvers.pair_adjoint import PairAdjoint
 
 
 def body_steps(bodies: Bodies) -> list[wp.array]:
@@ -43,6 +44,7 @@ class BodyAdjoint:
         multiplier: (row, motion) of its balance of bodies.
         force, torque: (row, slot) what is wanted of them, summed up until `clear`.
         x: (row, 1 + motion, dof) right-hand sides of the rods' system.
+        pairs: of rods that touch each other, or None.
     """
 
     def __init__(self, bodies: Bodies):
@@ -74,6 +76,7 @@ class BodyAdjoint:
         self._small, self.multiplier = floats(motions, motions + 1), floats(motions)
         self.meetings: Meetings | None = None
         self.touches: CarriedAdjoint | None = None
+        self.pairs: PairAdjoint | None = None
         self._press, self._on_bodies, self._by_bodies = (floats(0, 0) for _ in range(3))
         self._whole = wp.ones(shape[0], dtype=wp.float64, device=device)
         self._fraction = wp.ones_like(self._whole)
@@ -143,6 +146,9 @@ class BodyAdjoint:
             [batch.free, active, matrix, self._motion],
             [self._column, self._line, self.x],
         )
+        if self.pairs is not None:
+            outputs = [self._column, self._line, self._numbers]
+            self.pairs.multiply_motions(self._motion, outputs)
         batch.launch(
             kernels.balance_wanted,
             self.bodies.body.shape,

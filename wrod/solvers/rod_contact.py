@@ -4,6 +4,8 @@ Newton's collision pipeline is not used: it works in float32 on rigid shapes, an
 carry neither exact Hessians nor the history of friction that an implicit step of a rod needs.
 """
 
+from functools import cached_property
+
 import numpy as np
 import warp as wp
 
@@ -16,6 +18,7 @@ from wrod.kernels.contact.segments import AT_END, AT_START, EDGE, SPLINE
 from wrod.rods.batch import RodBatch
 from wrod.rods.device import OnDevice
 from wrod.solvers.friction import Friction, contact_damping
+from wrod.solvers.kept_pairs import KeptPairs
 from wrod.solvers.readback import read
 
 # Pairs nearer along the rod than this many radii do not touch: half a turn of the tightest bend.
@@ -62,18 +65,24 @@ class RodContact(OnDevice):
         way: how far a node may go in a step over the radius. Pairs are half a radius deep at most
             where steps end, so that they cannot have crossed on less than three radii between them.
 
+
     Attributes:
+        settles_loads: whether steps iterate until the loads that bound friction are those of their
+            end within 1e-10, as gradients want it, instead of a twentieth.
         time_step: (rod,) duration of the present step; see `Contact`.
         balance: (rod,) residual of the present iteration and the step's tolerance.
         velocity: (rod, dof) at the start of the present step.
         force: (rod, node) contact force on each node at the end of the last step.
         slip: (rod, edge) distance that each edge has slid on others in all [length].
         penetration: (rod,) deepest penetration at the end of the last step [length].
+        mean_share: (rod, edge) part of each edge's radius in the mean one.
 
     Raises:
         RodError: radius or stiffness is not positive and finite, or does not broadcast; or the
             batch stands where its rods are inside each other.
     """
+
+    settles_loads = False
 
     @arguments.checked(
         RodError,
@@ -110,7 +119,9 @@ class RodContact(OnDevice):
         cut[:, list(batch.cut_edges)] = True
         radius = _per_edge(radius, rods, edges)
         idle = cut if passive is None else cut | _passive(passive, cut.shape)
-        mean_radius = np.where(cut, 0.0, radius).sum(axis=1) / (~cut).sum(axis=1)
+        real = np.where(cut, 0.0, radius)
+        mean_radius = real.sum(axis=1) / (~cut).sum(axis=1)
+        self.mean_share = real / real.sum(axis=1, keepdims=True)
         if stiffness is None:
             stretching = np.where(cut, 0.0, batch.stretching_stiffness.numpy()).max(axis=1)
             stiffness = _STIFFNESS * stretching / mean_radius
@@ -191,26 +202,10 @@ class RodContact(OnDevice):
         batch.launch(
             contact_pairs.list_partners,
             self.partner_count.shape,
-            [
-                self.pieces,
-                self._arc,
-                wp.float64(_SKIP),
-                self.reach,
-                self._largest_radius,
-                starting,
-                dof,
-                self._lower,
-                self._upper,
-                self.partner_count,
-                self.partner,
-                self.bristle,
-                self.load,
-                self.sliding,
-                self._new_partner,
-                self._new_bristle,
-                self._new_load,
-                self._new_sliding,
-            ],
+            [self.pieces, self._arc, wp.float64(_SKIP), self.reach, self._largest_radius, starting]
+            + [dof, self._lower, self._upper, self.partner_count, self.partner, self.bristle]
+            + [self.load, self.sliding, self._new_partner, self._new_bristle, self._new_load]
+            + [self._new_sliding],
             [self.overflow],
         )
         batch.launch(
@@ -245,7 +240,8 @@ class RodContact(OnDevice):
         self.batch.launch(
             kernels.renew_loads,
             self.partner_count.shape,
-            [self.pieces, self.reach, self.time_step, converged, active, *self.balance]
+            [self.pieces, self.reach, int(self.settles_loads)]
+            + [self.time_step, converged, active, *self.balance]
             + [self._renewals, dof, dof_before, self.velocity]
             + [self.partner_count, self.partner, self.depth],
             [self.rubbing, self.batch.derivatives.gradient, self._renewed],
@@ -278,7 +274,17 @@ class RodContact(OnDevice):
             [touching],
         )
 
-    find_unknown = find_touching  # no adjoint
+    def find_unknown(
+        self, chosen: wp.array, dof: wp.array, dof_before: wp.array, touching: wp.array
+    ) -> None:
+        """Keep the pairs of the chosen rods for the adjoint; raise `touching` (rod,) to 1 where
+        there are too many."""
+        self.kept.keep(chosen, touching)
+
+    @cached_property
+    def kept(self) -> KeptPairs:
+        """What the adjoint keeps."""
+        return KeptPairs(self)
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""

@@ -14,6 +14,7 @@ from wrod.kernels.stepping import trace as kernels
 from wrod.solvers.body_adjoint import body_steps
 from wrod.solvers.contact import Contact
 from wrod.solvers.edge_contact import EdgeContact
+from wrod.solvers.kept_pairs import SLOTS
 from wrod.solvers.step_parts import StepParts
 from wrod.solvers.steps import SCHEMES
 
@@ -69,6 +70,8 @@ def step_arrays(dynamics: Dynamics) -> dict[str, wp.array]:
     solids = solids_of(dynamics)
     if solids is not None:
         _, out["edge_bristle"], out["edge_sliding"] = solids.memory
+    if dynamics.rod_contact is not None:
+        out |= dynamics.rod_contact.kept.arrays()
     return out | _turned(dynamics)
 
 
@@ -104,6 +107,8 @@ def require_differentiable(dynamics: Dynamics) -> None:
     touched = planes_of(dynamics)
     if touched is not None and touched.friction_field is not None:
         raise RodError("gradients of motion do not know friction that varies from place to place")
+    if dynamics.rod_contact is not None and not dynamics.rod_contact.settles_loads:
+        raise RodError("gradients of motion know a RodContact that settles its loads only")
 
 
 def make_wanted(dynamics: Dynamics) -> Any:
@@ -123,6 +128,9 @@ def make_wanted(dynamics: Dynamics) -> Any:
         array = _turned(dynamics).get(name)
         setattr(out, name, zeros(0, 0) if array is None else zeros(*array.shape[1:]))
     out.lagging = zeros(0 if batch.inelastic is None else nodes, dtype=wp.vec2d)
+    contact = dynamics.rod_contact
+    pairs = (0, 0) if contact is None else contact.kept.partner.shape[1:]
+    out.pair_partner, out.pair_bristle = (zeros(*pairs, dtype=t) for t in (wp.int32, wp.vec2d))
     return out
 
 
@@ -225,7 +233,8 @@ class Trace:
                 f"row {int(np.flatnonzero(touched)[0])} of rods touches something in this step "
                 "through which gradients are not there; they are through planes that stand still, "
                 "through solids, where rods begin outside them and are straight at rest if it "
-                "moves with them, and where bodies that move with rods touch each other or "
+                "moves with them, through rods, where an edge touches up to "
+                f"{SLOTS} later ones, and where bodies that move with rods touch each other or "
                 "what stands still"
             )
         return self._record(device_count, most)

@@ -1,0 +1,185 @@
+"""The adjoint of rods that touch each other, in the steps of `wrod.solvers.adjoint.StepAdjoint`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrod.kernels.contact import pair_adjoint as kernels
+from wrod.kernels.contact import touching
+from wrod.kernels.contact.pair_contact import Rubbing
+from wrod.kernels.lanes import TEAM, lanes
+from wrod.kernels.linear import skyline_lu, skyline_order
+from wrod.kernels.stepping.adjoint import fill_coupled
+from wrod.solvers.kept_pairs import SLOTS, KeptPairs
+
+if TYPE_CHECKING:
+    from wrod.solvers.dynamics import Dynamics
+
+# How many blocks a row of the factor may have on average.
+_BLOCKS = 400
+
+
+@dataclass(frozen=True)
+class LawShares:
+    """How the logarithm of the stiffness of a row's pairs follows what its rods are made of: by
+    stretching stiffness, logarithm of the radius and rest length (rod, edge), and mass (rod, node).
+    """
+
+    by_stretching: np.ndarray
+    by_radius: np.ndarray
+    by_length: np.ndarray
+    by_mass: np.ndarray
+
+
+class PairAdjoint:
+    """What pairs have in the matrix of steps, which is factorised with them where there are any.
+
+    Args:
+        dynamics: that has taken the steps.
+        step: `wrod.kernels.stepping.trace.OneStep` that is gone through.
+        turns: by how much frames turn by where the last nodes of their edges are, at the end of the
+            step and at its start.
+        shares: of the pairs' law; default: it is given.
+
+    Attributes:
+        banded: (rod,) whether the matrix of a row that is gone through is banded.
+    """
+
+    def __init__(
+        self, dynamics: Dynamics, step: Any, turns: tuple[wp.array, wp.array],
+        shares: LawShares | None,
+    ):  # fmt: skip
+        assert dynamics.rod_contact is not None
+        contact, batch = dynamics.rod_contact, dynamics.batch
+        self._batch, self._pieces, self._step = batch, contact.pieces, step
+        self._turns = kernels.Turns()
+        self._turns.by_end, self._turns.by_start = turns
+        self._kept = kept = Rubbing()
+        kept.bristle, kept.load, kept.sliding = (
+            step.pair_bristle, step.pair_load, step.pair_sliding
+        )  # fmt: skip
+        own = KeptPairs(contact).rubbing
+        kept.iteration, kept.stretch, kept.dual = own.iteration, own.stretch, own.dual
+        rods, nodes, device = batch.rod_count, batch.node_count, batch.device
+        self._shape = step.pair_partner.shape
+
+        def numbers(dtype, *shape):
+            return wp.zeros((rods, *shape), dtype=dtype, device=device)
+
+        self._touching = numbers(wp.float64, *self._shape[1:])
+        self._slots = wp.full((rods, nodes - 1), SLOTS, dtype=wp.int32, device=device)
+        self.banded, self._coupled, self._count, self._changed, self._overflow, self._reach = (
+            numbers(wp.int32) for _ in range(6)
+        )
+        self._pair = numbers(wp.vec3i, 6 * nodes)
+        self._rank, self._order, self._first, self._last, self._row, *self._scratch = (
+            numbers(wp.int32, nodes) for _ in range(7)
+        )
+        self._capacity = min(nodes * _BLOCKS, nodes * (nodes + 1) // 2)
+        self._lower, self._upper = (numbers(wp.mat44d, self._capacity) for _ in range(2))
+        self._law = kernels.WantedLaw()
+        for name in kernels.WantedLaw.vars:
+            setattr(self._law, name, numbers(wp.float64))
+        self._shares = self._law_shares(contact, shares)
+        self._x: wp.array | None = None
+
+    @classmethod
+    def of(
+        cls, dynamics: Dynamics, step: Any, turns: tuple[wp.array, wp.array],
+        shares: LawShares | None,
+    ) -> PairAdjoint | None:  # fmt: skip
+        """None where rods do not touch each other."""
+        return None if dynamics.rod_contact is None else cls(dynamics, step, turns, shares)
+
+    def _law_shares(self, contact: Any, shares: LawShares | None) -> Any:
+        batch = self._batch
+        radius = contact.edge_radius.numpy()
+        mass = batch.node_mass.numpy()
+        if shares is None:
+            none = np.zeros_like(radius)
+            shares = LawShares(none, none, none, np.zeros_like(mass))
+        out = kernels.LawShares()
+        radius = contact.mean_share
+        for name, value in (
+            ("by_stretching", shares.by_stretching), ("by_radius", shares.by_radius),
+            ("by_length", shares.by_length), ("by_mass", shares.by_mass),
+            ("size_by_radius", radius), ("total_mass", mass.sum(axis=1)),
+        ):  # fmt: skip
+            array = wp.array(np.ascontiguousarray(value), dtype=wp.float64, device=batch.device)
+            setattr(out, name, array)
+        return out
+
+    def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+        model = (
+            [self._pieces] if kernel is not kernels.add_pairs else [self._pieces, self._batch.free]
+        )
+        inputs = [*model, self._step, self._kept, self._turns, *inputs]
+        self._batch.launch(kernel, self._shape, inputs, outputs)
+
+    def weigh(self, now: Any, gradient: wp.array, moment: wp.array) -> None:
+        """Add to the residual and to moments about edges, let what is wanted of bristles at the
+        step's end be wanted of the rods there, and find out which rows touch."""
+        self._launch(kernels.want_pairs, [], [now, gradient, moment, self._touching])
+        self._overflow.zero_()
+        self._batch.launch_lanes(
+            touching.collect,
+            [self._step.active, self._slots, self._step.pair_partner, self._touching],
+            [self._count, self._pair, self._overflow, self.banded, self._coupled, self._changed],
+        )
+
+    def factorise(self, matrix: Any) -> None:
+        """Of the rows that touch: `matrix` (`StepMatrix`) with the pairs."""
+        batch, team = self._batch, lanes(self._batch.device, TEAM)
+        wp.launch(
+            skyline_order.renumber,
+            (batch.rod_count, team),
+            [self._coupled, self._changed, self._pieces.kind, self._count, self._pair]
+            + [self._capacity, *self._scratch],
+            [self._rank, *self._profile, self._reach, self._overflow],
+            device=batch.device,
+            block_dim=team,
+        )
+        chosen, blocks = [self._coupled, self._overflow], [self._lower, self._upper]
+        order, first, _, row = self._profile
+        profile = [self._rank, order, first, row]
+        inputs = [*chosen, batch.free, matrix, *profile]
+        batch.launch(fill_coupled, (batch.rod_count, batch.node_count), inputs, blocks)
+        self._launch(kernels.add_pairs, [self._overflow, self._rank, row], blocks)
+        batch.launch(skyline_lu.factorise, batch.rod_count, [*chosen, first, row], blocks)
+
+    @property
+    def _profile(self) -> list[wp.array]:
+        return [self._order, self._first, self._last, self._row]
+
+    def solve(self, x: wp.array) -> None:
+        """Of the rows that touch, all right-hand sides (rod, p, dof) in place; the first is what
+        the rest goes on from."""
+        if self._x is not x:
+            device, shape = self._batch.device, (*x.shape[:2], self._batch.node_count)
+            self._x, self._y = x, wp.zeros(shape, dtype=wp.vec4d, device=device)
+            self._solution = wp.array(ptr=x.ptr, dtype=wp.float64, shape=x.shape, device=device)
+        order, first, _, row = self._profile
+        chosen = [self._coupled, self._overflow, self._batch.free]
+        inputs = [*chosen, order, first, row, self._lower, self._upper, self._y]
+        self._batch.launch(skyline_lu.solve, x.shape[:2], inputs, [x])
+
+    def want_held(self, held: wp.array) -> None:
+        """Add to what is wanted of what is not free."""
+        self._launch(kernels.want_held, [self._batch.free, self._solution], [held])
+
+    def multiply_motions(self, motion: wp.array, products: list[wp.array]) -> None:
+        """Add to products of the matrix with motions of bodies, to those from the left, and to what
+        is solved for."""
+        self._launch(kernels.multiply_motions, [self._batch.free, motion], products)
+
+    def want_before(self, now: Any, before: Any, model: Any) -> None:
+        """From the solution to the start of the step, and to what the pairs are made of."""
+        for name in kernels.WantedLaw.vars:
+            getattr(self._law, name).zero_()
+        self._launch(kernels.want_pairs_before, [now, self._solution], [before, model, self._law])
+        shape = (self._batch.rod_count, self._batch.node_count)
+        self._batch.launch(kernels.want_law, shape, [self._shares, self._law], [model])
