@@ -278,7 +278,8 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
 
     bending = make_bending(law)
 
-    @wp.kernel
+    # Of a module of its own: the laws are compiled side by side, and only those that are launched.
+    @wp.kernel(module="unique", enable_backward=False)
     def elasticity(
         # Model:
         rest_length: wp.array2d(dtype=wp.float64),

@@ -22,7 +22,8 @@ _OF_A_GPU = ("_lanes", "_ends", "condensing")
 _LONG = (
     "grasping.sensitivity",
     "grasping.iteration:solve_straight",
-    "elastic.bending",
+    "elastic.bending:elasticity",
+    "elastic.softened_bending:softened_elasticity",
     "elastic.section",
     "stepping.motion_tangents",
 )

@@ -5,6 +5,7 @@ Modules that are not listed are compiled when they are launched first, one after
 
 from functools import cache
 from importlib import import_module
+from types import ModuleType
 
 import warp as wp
 
@@ -13,9 +14,10 @@ from wrod.kernels.lanes import TEAM, WARP
 from wrod.kernels.linear.two_warps import ENDS
 
 _WIDE = 256  # Warp's own
-# Modules of `wrod.kernels`, by the size of the blocks in which they are launched.
+# Modules of `wrod.kernels`, by the size of the blocks in which they are launched; a kernel after a
+# colon has a module of its own.
 _STEPS = {
-    WARP: ("stepping.pace", "stepping.newton_iteration", "elastic.bending"),
+    WARP: ("stepping.pace", "stepping.newton_iteration", "elastic.bending:elasticity"),
     ENDS: ("linear.banded_ends",),
     _WIDE: (
         "elastic.frames",
@@ -47,4 +49,10 @@ def compile_steps(device: str, *, coupled: bool = False) -> None:
         return
     tables = (_STEPS, _COUPLED if coupled else _LAYING)
     names = [(name, block) for table in tables for block, row in table.items() for name in row]
-    compile_together(device, [(import_module(f"wrod.kernels.{n}"), block) for n, block in names])
+    compile_together(device, [(_found(name), block) for name, block in names])
+
+
+def _found(name: str) -> wp.Kernel | ModuleType:
+    place, _, kernel = name.partition(":")
+    module = import_module(f"wrod.kernels.{place}")
+    return getattr(module, kernel) if kernel else module
