@@ -51,7 +51,7 @@ def problem(nodes, count, seed=0):
 class System:
     """The kernels on matrices of given pairs."""
 
-    def __init__(self, kernels, device, nodes, pairs, capacity=None):
+    def __init__(self, kernels, device, nodes, pairs, capacity=None, most_reach=None):
         self.kernels, self.device, self.nodes = kernels, device, nodes
         self.most = max(1, *(len(p) for p in pairs))
         self.capacity = nodes * (nodes + 1) // 2 if capacity is None else capacity
@@ -75,6 +75,7 @@ class System:
                 self.count,
                 self.touching,
                 self.capacity,
+                nodes if most_reach is None else most_reach,
                 *scratch,
             ],
             [self.rank, self.order, self.first, self.last, self.row, self.reach, self.overflow],
@@ -233,31 +234,42 @@ def test_lanes_find_what_a_thread_finds(kernels, device, nodes, count):
 
 @pytest.mark.parametrize(("nodes", "count"), SIZES)
 @pytest.mark.parametrize(("kernels", "device"), WAYS[1:])
-def test_order_goes_by_the_distance_from_the_end(kernels, device, nodes, count):
+def test_order_goes_by_the_distance_from_an_end(kernels, device, nodes, count):
     _, pairs, _, _ = problem(nodes, count)
-    system = System(kernels, device, nodes, pairs)
-    for r, chosen in enumerate(pairs):
-        coupled = np.abs(np.subtract.outer(np.arange(nodes), np.arange(nodes))) <= 2
-        for i, j in chosen:
-            corners = [i, i + 1, j, j + 1]
-            coupled[np.ix_(corners, corners)] = True
-        distance = np.full(nodes, nodes)
-        reached = np.arange(nodes) == 0
-        for d in range(nodes):
-            distance[reached & (distance == nodes)] = d
-            reached = coupled[reached].any(axis=0)
-        order = np.lexsort((-np.arange(nodes), -distance))
-        assert (system.order.numpy()[r] == order).all()
-        assert (system.rank.numpy()[r][order] == np.arange(nodes)).all()
-        envelope = coupled[np.ix_(order, order)]
-        first = envelope.argmax(axis=1)
-        assert (system.first.numpy()[r] == first).all()
-        last = [np.flatnonzero(first <= b).max() for b in range(nodes)]
-        assert (system.last.numpy()[r] == last).all()
-        assert system.reach.numpy()[r] == (last - np.arange(nodes)).max()
-        # Rows of blocks follow each other without a gap.
-        ends = np.cumsum(np.arange(nodes) - first + 1)
-        assert (system.row.numpy()[r] + np.arange(nodes) + 1 == ends).all()
+    expected = [[order_from(end, nodes, chosen) for end in (0, nodes - 1)] for chosen in pairs]
+    reach = np.array([[(last - np.arange(nodes)).max() for _, _, last in two] for two in expected])
+    # Whatever the reach, and so that one of many pairs is narrow enough only from its last node.
+    for most in (nodes, reach[:, 1].min()):
+        system = System(kernels, device, nodes, pairs, most_reach=int(most))
+        turned = (reach[:, 0] > most) & (reach[:, 1] <= most)
+        assert turned.any() == (most < nodes and count > 5)
+        for r, end in enumerate(turned.astype(int)):
+            order, first, last = expected[r][end]
+            assert (system.order.numpy()[r] == order).all()
+            assert (system.rank.numpy()[r][order] == np.arange(nodes)).all()
+            assert (system.first.numpy()[r] == first).all()
+            assert (system.last.numpy()[r] == last).all()
+            assert system.reach.numpy()[r] == reach[r, end]
+            # Rows of blocks follow each other without a gap.
+            ends = np.cumsum(np.arange(nodes) - first + 1)
+            assert (system.row.numpy()[r] + np.arange(nodes) + 1 == ends).all()
+
+
+def order_from(end, nodes, pairs):
+    """The nodes by their distance from an end, the farthest first; the first column of every row,
+    and the last row that reaches a column, or one before it."""
+    coupled = np.abs(np.subtract.outer(np.arange(nodes), np.arange(nodes))) <= 2
+    for i, j in pairs:
+        corners = [i, i + 1, j, j + 1]
+        coupled[np.ix_(corners, corners)] = True
+    distance = np.full(nodes, nodes)
+    reached = np.arange(nodes) == end
+    for d in range(nodes):
+        distance[reached & (distance == nodes)] = d
+        reached = coupled[reached].any(axis=0)
+    order = np.lexsort((-np.arange(nodes), -distance))
+    first = coupled[np.ix_(order, order)].argmax(axis=1)
+    return order, first, np.array([np.flatnonzero(first <= b).max() for b in range(nodes)])
 
 
 @pytest.mark.parametrize(("nodes", "count"), [*SIZES, (1, 0), (2, 0), (133, 3), (411, 4)])

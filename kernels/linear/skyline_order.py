@@ -2,13 +2,13 @@
 
 Contacts couple nodes that are far apart along the rod. Nodes are numbered by their distance from
 the rod's end in the graph of rod and contacts (after Cuthill and McKee), which keeps the entries of
-a row close to the diagonal even in a knot: its width is that of a few strands.
+a row close to the diagonal even in a knot: its width is that of a few strands. From which end it is
+narrower hangs on the knot.
 """
 
 import warp as wp
-from wrod.kernels.contact.segments import piece_size
+from wrod.kernels.contact.segments import EDGE, piece_size
 from wrod.kernels.lanes import (
-    any_lane,
     count_of_lanes,
     count_of_lanes_before,
     largest_of_lanes,
@@ -17,112 +17,138 @@ from wrod.kernels.lanes import (
 
 wp.set_module_options({"enable_backward": False})
 
+# Distances lie close at hand on a GPU for rods of so many nodes.
+_NODES = 1024
 
-@wp.func
-def nearer(distance: wp.array2d(dtype=wp.int32), r: int, v: int, best: int) -> int:
-    if v < 0 or v >= distance.shape[1]:
-        return best
-    return wp.min(best, distance[r, v] + 1)
+# Farthest first, and among equals the last along the rod: a counting sort, or many lanes count.
+_NUMBER = (
+    f"const int NODES = {_NODES}, EDGE = {int(EDGE)};"
+    + """
+    const int n = rank.shape[1], pairs = count.data[r];
+    const int* pieces = piece.data + (size_t)r * piece.shape[1];
+    const int* pair = (const int*)(touching.data) + (size_t)r * touching.shape[1] * 3;
+    int* ranks = rank.data + (size_t)r * n;
+    int* nodes = order.data + (size_t)r * n;
+    int* tallies = tally.data + (size_t)r * n;
+    int* far = distance.data + (size_t)r * n;
+#if defined(__CUDA_ARCH__)
+    const int lane = threadIdx.x, lanes = blockDim.x;
+    __shared__ int near[NODES];
+    if (n <= NODES) far = near;
+#define WROD_LOWER(place, value) atomicMin(&(place), value)
+#define WROD_WAIT() __syncthreads()
+#define WROD_ANY(flag) __syncthreads_or(flag)
+#else
+    const int lane = 0, lanes = 1;
+#define WROD_LOWER(place, value) (place) = value
+#define WROD_WAIT()
+#define WROD_ANY(flag) flag
+#endif
+    // Two nodes a step, without contacts.
+    for (int v = lane; v < n; v += lanes) {
+        far[v] = from_last ? (n - v) / 2 : (v + 1) / 2;
+        tallies[v] = 0;
+    }
+    WROD_WAIT();
+    for (int turn = 0, going = 1; going; ++turn) {
+        going = 0;
+        for (int w = lane; w < n; w += lanes) {
+            // To and fro, which lets one lane come to an end in a few turns.
+            const int v = turn % 2 ? n - 1 - w : w;
+            int best = far[v];
+            for (int u = v < 2 ? 0 : v - 2; u < v + 3 && u < n; ++u)
+                if (far[u] + 1 < best) best = far[u] + 1;
+            if (best < far[v]) {
+                WROD_LOWER(far[v], best);
+                going = 1;
+            }
+        }
+        for (int c = lane; c < pairs; c += lanes) {
+            const int i = pair[3 * c], j = pair[3 * c + 1];
+            const int size = pieces[i] == EDGE ? 2 : 3, all = size + (pieces[j] == EDGE ? 2 : 3);
+            int best = n;
+            for (int k = 0; k < all; ++k) {
+                const int there = far[k < size ? i + k : j + k - size] + 1;
+                if (there < best) best = there;
+            }
+            for (int k = 0; k < all; ++k) {
+                const int v = k < size ? i + k : j + k - size;
+                if (best < far[v]) {
+                    WROD_LOWER(far[v], best);
+                    going = 1;
+                }
+            }
+        }
+        going = WROD_ANY(going);
+    }
+#if defined(__CUDA_ARCH__)
+    for (int v = lane; v < n; v += lanes) far[v] = far[v] * n + v;
+    WROD_WAIT();
+    for (int v = lane; v < n; v += lanes) {
+        const int key = far[v];
+        int p = 0;
+        _Pragma("unroll 8") for (int w = 0; w < n; ++w) p += far[w] > key;
+        ranks[v] = p;
+        nodes[p] = v;
+    }
+#else
+    for (int v = 0; v < n; ++v) ++tallies[far[v]];
+    for (int d = n - 1, before = 0; d >= 0; --d) {
+        const int size = tallies[d];
+        tallies[d] = before;
+        before += size;
+    }
+    for (int v = n - 1; v >= 0; --v) {
+        ranks[v] = tallies[far[v]]++;
+        nodes[ranks[v]] = v;
+    }
+#endif
+    WROD_WAIT();
+"""
+)
 
 
-@wp.kernel
-def renumber(
-    # State in:
-    coupled: wp.array(dtype=wp.int32),
-    changed: wp.array(dtype=wp.int32),
+@wp.func_native(_NUMBER)
+def number_nodes(
+    from_last: int,
     piece: wp.array2d(dtype=wp.int32),
+    r: int,
     count: wp.array(dtype=wp.int32),
     touching: wp.array2d(dtype=wp.vec3i),
-    capacity: int,
-    # Scratch:
     distance: wp.array2d(dtype=wp.int32),
     tally: wp.array2d(dtype=wp.int32),
-    # State out:
+    rank: wp.array2d(dtype=wp.int32),
+    order: wp.array2d(dtype=wp.int32),
+): ...
+
+
+@wp.func
+def arrange(
+    from_last: int,
+    piece: wp.array2d(dtype=wp.int32),
+    r: int,
+    lane: int,
+    count: wp.array(dtype=wp.int32),
+    touching: wp.array2d(dtype=wp.vec3i),
+    distance: wp.array2d(dtype=wp.int32),
+    tally: wp.array2d(dtype=wp.int32),
     rank_out: wp.array2d(dtype=wp.int32),
     order_out: wp.array2d(dtype=wp.int32),
     first_out: wp.array2d(dtype=wp.int32),
     last_out: wp.array2d(dtype=wp.int32),
     row_out: wp.array2d(dtype=wp.int32),
-    reach_out: wp.array(dtype=wp.int32),
-    overflow_out: wp.array(dtype=wp.int32),
-):
-    """Order the nodes of rods whose contacts have changed.
-
-    Row p starts at column `first`; the last row that reaches column p, or one before it, is `last`,
-    no column farther than `reach` below its diagonal.
-    """
-    r, lane = wp.tid()
-    if coupled[r] == 0 or changed[r] == 0:
-        return
+) -> wp.vec2i:
+    """Order a rod's nodes by their distance from its first or last; how far columns reach then, and
+    how many blocks there are."""
     n = rank_out.shape[1]
-    for v in range(lane, n, wp.block_dim()):
-        distance[r, v] = (v + 1) // 2  # two nodes a step, without contacts
-        tally[r, v] = 0
-        last_out[r, v] = v
-    wait_for_lanes()
-    going = int(1)
-    turn = int(0)
-    while going != 0:
-        going = int(0)
-        for w in range(lane, n, wp.block_dim()):
-            # To and fro, which lets one lane come to an end in a few turns.
-            v = wp.where(turn % 2 == 0, w, n - 1 - w)
-            best = int(distance[r, v])
-            for step in range(1, 3):
-                best = nearer(distance, r, v - step, best)
-                best = nearer(distance, r, v + step, best)
-            if best < distance[r, v]:
-                wp.atomic_min(distance, r, v, best)
-                going = int(1)
-        for c in range(lane, count[r], wp.block_dim()):
-            i = touching[r, c][0]
-            j = touching[r, c][1]
-            size = piece_size(piece[r, i])
-            all = size + piece_size(piece[r, j])
-            best = wp.min(distance[r, i], distance[r, j])
-            for corner in range(all):
-                best = wp.min(best, distance[r, wp.where(corner < size, i, j - size) + corner])
-            best += 1
-            for corner in range(all):
-                v = wp.where(corner < size, i, j - size) + corner
-                if best < distance[r, v]:
-                    wp.atomic_min(distance, r, v, best)
-                    going = int(1)
-        going = any_lane(going)
-        turn += 1
-    # Farthest first, and among equals the last along the rod: a counting sort, or many lanes count.
-    if wp.block_dim() == 1:
-        for v in range(n):
-            tally[r, distance[r, v]] = tally[r, distance[r, v]] + 1
-        before = int(0)
-        for d in range(n):
-            at = n - 1 - d
-            size = tally[r, at]
-            tally[r, at] = before
-            before += size
-        for w in range(n):
-            v = n - 1 - w
-            p = tally[r, distance[r, v]]
-            tally[r, distance[r, v]] = p + 1
-            rank_out[r, v] = p
-            order_out[r, p] = v
-    else:
-        for v in range(lane, n, wp.block_dim()):
-            far = distance[r, v]
-            p = int(0)
-            for w in range(n):
-                d = distance[r, w]
-                if d > far or (d == far and w > v):
-                    p += 1
-            rank_out[r, v] = p
-            order_out[r, p] = v
-    wait_for_lanes()
+    number_nodes(from_last, piece, r, count, touching, distance, tally, rank_out, order_out)
     for v in range(lane, n, wp.block_dim()):
         p = rank_out[r, v]
         lowest = int(p)
         for u in range(wp.max(v - 2, 0), wp.min(v + 3, n)):
             lowest = wp.min(lowest, rank_out[r, u])
         first_out[r, p] = lowest
+        last_out[r, p] = p
     wait_for_lanes()
     for c in range(lane, count[r], wp.block_dim()):
         i = touching[r, c][0]
@@ -166,8 +192,49 @@ def renumber(
             last = wp.max(last, last_out[r, wp.max(p - 1, 0)])
             last_out[r, p] = last
         reach = wp.max(reach, last - p)
-    reach = int(largest_of_lanes(wp.float64(reach)))
+    return wp.vec2i(int(largest_of_lanes(wp.float64(reach))), size)
+
+
+@wp.kernel
+def renumber(
+    # State in:
+    coupled: wp.array(dtype=wp.int32),
+    changed: wp.array(dtype=wp.int32),
+    piece: wp.array2d(dtype=wp.int32),
+    count: wp.array(dtype=wp.int32),
+    touching: wp.array2d(dtype=wp.vec3i),
+    capacity: int,
+    most_reach: int,
+    # Scratch:
+    distance: wp.array2d(dtype=wp.int32),
+    tally: wp.array2d(dtype=wp.int32),
+    # State out:
+    rank_out: wp.array2d(dtype=wp.int32),
+    order_out: wp.array2d(dtype=wp.int32),
+    first_out: wp.array2d(dtype=wp.int32),
+    last_out: wp.array2d(dtype=wp.int32),
+    row_out: wp.array2d(dtype=wp.int32),
+    reach_out: wp.array(dtype=wp.int32),
+    overflow_out: wp.array(dtype=wp.int32),
+):
+    """Order the nodes of rods whose contacts have changed: from the first node, or from the last
+    where only then no column reaches farther than `most_reach`.
+
+    Row p starts at column `first`; the last row that reaches column p, or one before it, is `last`,
+    no column farther than `reach` below its diagonal.
+    """
+    r, lane = wp.tid()
+    if coupled[r] == 0 or changed[r] == 0:
+        return
+    attempt = int(0)
+    found = wp.vec2i(most_reach + 1, 0)
+    while attempt < 3 and found[0] > most_reach:
+        found = arrange(
+            attempt % 2, piece, r, lane, count, touching, distance, tally,
+            rank_out, order_out, first_out, last_out, row_out,
+        )  # fmt: skip
+        attempt += 1
     if lane == 0:
-        reach_out[r] = reach
-        if size > capacity:
+        reach_out[r] = found[0]
+        if found[1] > capacity:
             overflow_out[r] = 1

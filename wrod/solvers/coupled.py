@@ -159,6 +159,7 @@ class CoupledSystem(PairedSystem):
     def _assemble(self, hessian: wp.array) -> None:
         """Order the nodes, and fill the blocks of rods in contact."""
         batch, contact = self.batch, self.contact
+        near = skyline_ends.reach_of(batch.node_count) if self._on_gpu else -1
         self._together(
             skyline_order.renumber,
             [
@@ -168,6 +169,7 @@ class CoupledSystem(PairedSystem):
                 self.pair_count,
                 self.touching,
                 self._capacity,
+                near if near > 0 else batch.node_count,
                 self._distance,
                 self._tally,
             ],
