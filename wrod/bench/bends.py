@@ -89,7 +89,6 @@ def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> d
     )
     away = Poses(np.array([[0.0, 0.0, 1.0]]), Rotation.identity(1))
     table.run(0.6, lambda t: [away, away])
-    table.handle_roughly()
     laid = [one[0] for one in table.positions()]
     starts = np.array([(one[0] + one[1]) / 2 for one in laid])
     seen: dict[str, list] = {"laid": laid}

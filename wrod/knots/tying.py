@@ -65,7 +65,6 @@ def tie(
         progress(f"lay rod {k + 1}")
         lay(run, k)
     run.note("laid")
-    run.bench.handle_roughly()
     for number, moves in enumerate(knot.steps, start=1):
         progress(f"move {number}")
         make(run, moves, f"move {number}")

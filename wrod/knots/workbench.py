@@ -203,7 +203,7 @@ class Workbench:
     hands: int = 2
     step: float = 0.01
     air_damping: float = 1.0
-    tolerance: float = 1e-4
+    tolerance: float = 1e-3
     device: str = "cpu"
     natural_curvature: np.ndarray | float = 0.0
     time: float = field(init=False, default=0.0)
@@ -253,11 +253,6 @@ class Workbench:
             np.repeat([float(getattr(rod, name)) for rod in scene], counts) for scene in self.rods
         ]
         return np.array(rows)
-
-    def handle_roughly(self) -> None:
-        """From now on forces are those of hands and knots, a hundred times those of laying: solve
-        steps ten times less closely."""
-        self.dynamics.tolerance = 10.0 * self.tolerance
 
     def positions(self) -> list[np.ndarray]:
         """(scene, node, 3) of each rod [m]."""
