@@ -12,6 +12,8 @@ from wrod.telling import json_option, tell
 # Simulated seconds after which a batch is looked at, and that it is timed for.
 _AFTER, _TIMED = 4.0, 1.0
 _STEP = 0.01
+# Of knots that hands pull, each at this speed [m/s]: when they are nearly tight.
+_PULLED, _SPEED = (5.0, 1.5), 0.03
 _SHOWN = 12
 
 
@@ -24,12 +26,14 @@ _SHOWN = 12
     help="Deployments at once, separated by commas: of table 3, one trial of each cell first.",
 )
 @click.option("--knots", default=10, show_default=True, help="Trefoils at once; 0: none.")
-@click.option("--reefs", default=0, show_default=True, help="Ready-made reef knots; 0: none.")
+@click.option(
+    "--reefs", default=0, show_default=True, help="Ready-made reef knots that are pulled; 0: none."
+)
 @click.option("--rounds", default=200, show_default=True, help="Rounds that are looked at.")
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @json_option
 def command(counts: str, knots: int, reefs: int, rounds: int, device: str) -> None:
-    """A round is a Newton iteration of every rod that is under way.
+    """A round is a Newton iteration of every rod that is under way, or ends its step.
 
     Times of kernels, on a GPU, are of rounds that are launched one by one; a round's own time is as
     simulations take them, on a GPU of a graph. A CPU takes a few seconds for ten rods.
@@ -112,7 +116,7 @@ def _knots(count: int, rounds: int, device: str) -> dict:
 
 
 def _reefs(count: int, rounds: int, device: str) -> dict:
-    """Ready-made reef knots, as `wrod bench bends` lays them, while they come to rest."""
+    """Ready-made reef knots, as `wrod bench bends` lays them, while two hands pull them tight."""
     import numpy as np
     from scipy.spatial.transform import Rotation
 
@@ -128,9 +132,18 @@ def _reefs(count: int, rounds: int, device: str) -> dict:
     director = np.cross(np.diff(position, axis=1), [0.1, 0.2, 1.0])
     friction = (Friction(KNOT_FRICTION), Friction(ROD_FRICTION))
     bench = Workbench([pair] * count, arcs, position, director, friction, device=device)
-    away = Poses(np.tile([0.0, 0.0, 1.0], (count, 1)), Rotation.identity(count))
-    bench.run(0.1, lambda t: [away, away])
-    return {"what": "reef knots", **_timed(bench.dynamics, bench.time, rounds, 0.0, 0.2)}
+
+    def hands(gone: float) -> list[Poses]:
+        ends = [line[:2].mean(axis=0) for line in lines]
+        places = [end + [way, 0.0, 0.0] for end, way in zip(ends, (-gone, gone), strict=True)]
+        return [Poses(np.tile(place, (count, 1)), Rotation.identity(count)) for place in places]
+
+    for hand, (nodes, poses) in enumerate(zip(bench.slices, hands(0.0), strict=True)):
+        for scene in range(count):
+            bench.held.grasp(scene, hand, nodes.start, poses)
+    after, timed = _PULLED
+    bench.plan([0.0, after + timed], [hands(0.0), hands(_SPEED * (after + timed))])
+    return {"what": "reef knots", **_timed(bench.dynamics, 0.0, rounds, after, timed)}
 
 
 def _timed(dynamics, now: float, rounds: int, after: float = _AFTER, timed: float = _TIMED) -> dict:
@@ -143,7 +156,9 @@ def _timed(dynamics, now: float, rounds: int, after: float = _AFTER, timed: floa
     clock = time.perf_counter()
     after = dynamics.advance(now + after + timed, _STEP)
     seconds = time.perf_counter() - clock
-    taken = int((after.iterations - before.iterations).max())
+    # A step is judged in a round of its own, after its iterations.
+    rounds_of = [progress.iterations + progress.steps for progress in (before, after)]
+    taken = int((rounds_of[1] - rounds_of[0]).max())
     on_gpu = wp.get_device(batch.device).is_cuda
     spent, launches = Counter(), 0
     for name, milliseconds in dynamics.launch_times(now + 1e3, _STEP, rounds) if on_gpu else ():
