@@ -67,8 +67,6 @@ VALID = {
     "bench cables": ["--data", "{cables}", "--folds", "2", "--out", "{out}"],
     "bench loop": ["--effect", "stiffness", "--pattern", "line", "--trials", "8",
                    "--controller", "numeric", "--out", "{out}"],
-    "bench closures": ["--rods", "green-vps", "--names", "line", "--frictions", "0.6",
-                       "--curvatures", "0", "--stretch-ratios", "2000", "--out", "{out}"],
     "bench slippery": ["--names", "line", "--methods", "intuitive", "--frictions", "0.6",
                        "--trials", "1", "--out", "{out}"],
     "bench feedback": ["--names", "line", "--effects", "none", "--ways", "blind", "--out", "{out}"],

@@ -3,11 +3,8 @@
 import json
 
 import pytest
-from cli import refused
-from click.testing import CliRunner
 
 from wrod.bench import campaign
-from wrod.commands import main
 from wrod.errors import DataError
 from wrod.files.ledger import Ledger
 
@@ -59,63 +56,3 @@ def test_a_line_that_was_changed_is_refused(tmp_path):
             Ledger(path, {}, KEYS)
     path.write_text("\n".join([head, other, line.replace(", ", " ,\t"), ""]))
     assert Ledger(path, {}, KEYS).lacking([("a", 0), ("b", 0)]) == []
-
-
-@pytest.mark.slow
-def test_comparison_of_closures_is_resumed_to_the_same_files(tmp_path, monkeypatch):
-    """Laid on coarse meshes; the second run is stopped after two of its eight deployments."""
-    import wrod.deployment.simulate
-
-    def call(folder):
-        args = ["bench", "closures", "--out", str(tmp_path / folder), "--device", "cpu"]
-        args += ["--frictions", "0.4", "--curvatures", "1", "--names", "line", "--json"]
-        args += ["--rods", "pink-vps", "--batch", "2"]
-        return CliRunner().invoke(
-            main, [*args, "--speed", "0.2", "--step", "0.05", "--spacing", "0.03"]
-        )
-
-    whole = call("whole")
-    assert whole.exit_code == 0, whole.output
-    simulate, calls = wrod.deployment.simulate.simulate_deployments, []
-
-    def stopped(*args, **options):
-        calls.append(len(args[0]))
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return simulate(*args, **options)
-
-    monkeypatch.setattr(wrod.deployment.simulate, "simulate_deployments", stopped)
-    assert call("stopped").exit_code != 0
-    lines = (tmp_path / "stopped" / "trials.jsonl").read_text().splitlines()
-    assert len(lines) == 1 + 2
-    assert not (tmp_path / "stopped" / "closures.csv").exists()
-    monkeypatch.setattr(wrod.deployment.simulate, "simulate_deployments", simulate)
-    assert '"simulated_now": 6' in call("stopped").output
-    for name in ("closures.csv", "closures.md"):
-        one, two = (tmp_path / folder / name for folder in ("whole", "stopped"))
-        assert one.read_bytes() == two.read_bytes()
-    text = (tmp_path / "whole" / "closures.md").read_text()
-    assert "put down exactly" in text and "min friction" in text
-    assert (tmp_path / "whole" / "closures.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize("text", ["", "one", "0.1,-1", "nan"])
-def test_bad_axes_are_refused(tmp_path, text):
-    arguments = ["bench", "closures", "--frictions", text, "--out", str(tmp_path / "out")]
-    refused("frictions", *arguments)
-    assert not (tmp_path / "out").exists()
-
-
-def test_comparisons_of_closures_without_friction_are_drawn(tmp_path):
-    """Nothing is left there for axes that are logarithmic."""
-    from wrod.bench.closures_picture import draw_friction
-    from wrod.bench.closures_report import Cell
-
-    cell = Cell(**dict.fromkeys(Cell.__dataclass_fields__, 0.5))
-    draw_friction(tmp_path / "x.png", {("rope", "line", 0.0, "min_force"): cell})
-    assert (tmp_path / "x.png").stat().st_size > 1000
-
-
-def test_edges_longer_than_a_rod_bends_are_refused_before_it_is_planned(tmp_path, monkeypatch):
-    monkeypatch.setattr("wrod.bench.closures._plans", None)
-    refused("longest that bends", "bench", "closures", "--spacing", 1.0, "--out", tmp_path / "out")

@@ -408,7 +408,7 @@ LONG = "n" * 300
     "words, says",
     [
         (f"bench applications --trials 1 --case trefoil --out out --usd {LONG}", "too long"),
-        (f"bench closures --out out/{LONG}", "too long"),
+        (f"bench slippery --out out/{LONG}", "too long"),
         (f"bench bends --out out/{LONG}.png", "too long"),
         ("bench knot-force --out /proc/none/x.png", "/proc"),
         (f"{LAID} --out a/rod.json --table a/rod.json", "path of its own"),

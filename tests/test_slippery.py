@@ -44,6 +44,7 @@ def test_summary_is_the_mean_over_trials_and_then_over_cells():
         (("--frictions", "slippery"), "--frictions is 'slippery'"),
         (("--disturbed", "wind"), "unknown disturbance 'wind'"),
         (("--disturbed", "yaw", "--undisturbed"), "leave one out"),
+        (("--spacing", "1.0", "--names", "line"), "longest that bends"),
     ],
 )
 def test_bad_options_are_refused(tmp_path, options, says):

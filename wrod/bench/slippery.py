@@ -28,6 +28,7 @@ PUT_DOWN, MISPLACED = "put_down", "misplaced"
 METHODS = (
     "intuitive",
     "zero_tension",
+    "min_force",
     "min_friction",
     "optimised",
     "certain",
@@ -44,6 +45,8 @@ _CORRECTED = {
     "distilled": "distilled",
 }
 _OPTIMISED = ("optimised", "certain")
+# Only where they are asked for.
+_ASKED = ("min_force", "certain")
 # Seeds of disturbances that no plan was fitted to or judged by.
 _FIRST_SEED = 9_000
 _PLAN_SPACING = 0.005
@@ -61,9 +64,9 @@ _GENTLE = 0.4
     help="Patterns.",
 )  # fmt: skip
 @click.option(
-    "--methods", default=",".join(m for m in METHODS if m != "certain"), show_default=True,
-    help="What lays them; certain: optimised for the very rod and table of the trials, but for "
-    "what disturbs these.",
+    "--methods", default=",".join(m for m in METHODS if m not in _ASKED), show_default=True,
+    help="What lays them; also min_force, and certain: optimised for the very rod and table of the "
+    "trials, but for what disturbs these.",
 )  # fmt: skip
 @click.option("--trials", default=2, show_default=True, help="Disturbed trials a cell.")
 @click.option(

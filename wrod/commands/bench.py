@@ -22,7 +22,6 @@ BENCHMARKS = (
     "identify",
     "cables",
     "loop",
-    "closures",
     "optimised",
     "slippery",
     "feedback",

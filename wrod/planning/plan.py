@@ -212,7 +212,7 @@ def favoured_closure(pattern: Pattern, rod: RodModel | RodMaterial) -> str:
     elsewhere. In bends the first asks the table for less: at 1 / L_gb for a tangential force of
     0.55 instead of 0.93 of the normal one, so that less slides on slippery tables. On a straight
     pattern both are the same grasps; in gentle bends both lay as well, and the second are the
-    paper's. Evidence: `wrod bench closures`, docs/deployment.md, and for naturally curved
+    paper's. Evidence: `wrod bench slippery`, docs/deployment.md, and for naturally curved
     rods docs/loop.md. Of a rod curved by more than 0.3 / L_gb not all grasps exist that ask for the
     least, and it gets "zero_tension".
     """
