@@ -489,7 +489,6 @@ DOORS = {
     "train": {"--recipe": (), "--device": ()},
     "render": {"--size": ()},
     "bench table3": {"--closure": (), "--device": ()},
-    "bench newton": {"--edges": (), "--rod": ()},
     "bench bends": {"--rods": ()},
     "bench deploy": {"--rod": (), "--pattern": (), "--device": ()},
     "bench applications": {"--case": (), "--device": ()},

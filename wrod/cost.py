@@ -24,9 +24,9 @@ IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
 CORRECTED_PLAN = 15.0
 # A recording of motion identified, a joint path with approach and retreat, a plan, a bend pulled.
 RECORDING, JOINT_PATH, PLAN, BEND = 7.0, 12.0, 0.5, 50.0
-# A row of `wrod bench newton` beside an edge in an iteration of Newton's cable; its scenes of
-# bodies, and of many worlds and of a pile, for each edge; what hangs in a hand, and what loops do.
-NEWTON_ROW, VBD_EDGE, NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 5.0, 8e-7, 85.0, 1e-3, 1e-3
+# Scenes of `wrod bench newton` of bodies, and of many worlds and of a pile, for each edge; what
+# hangs in a hand, and what loops do.
+NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 85.0, 1e-3, 1e-3
 HAND, FOLD, LOOPS, EXPERIMENT = 28.0, 60.0, 60.0, 10.0
 # Kernels compiled for a CPU: what commands launch, and the others.
 KERNELS, RARE_KERNELS = 110.0, 40.0

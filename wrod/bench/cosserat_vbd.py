@@ -10,6 +10,8 @@ from cosseratbench.scenario import End, EndCondition, Rod, Scenario
 from cosseratbench.solver import Diverged
 from scipy.spatial.transform import Rotation
 
+from wrod.bench.newton_held import weigh
+
 # Largest step [s], iterations of a step; damping time of bending in the slowest period.
 _STEP, _ITERATIONS, _DAMPING = 1.0 / 600.0, 20, 0.14
 
@@ -91,11 +93,7 @@ class _Scene:
                 builder.add_joint_ball(-1, body, parent_xform=at, child_xform=inside)
         builder.color()
         self.model = model = builder.finalize()
-        mass = material.density * area * edge / model.body_mass.numpy()
-        for name, power in (("mass", 1), ("inertia", 1), ("inv_mass", -1), ("inv_inertia", -1)):
-            array = getattr(model, f"body_{name}")
-            values = array.numpy()
-            array.assign(values * mass.reshape(-1, *[1] * (values.ndim - 1)) ** power)
+        weigh(model, material.density * area * edge)
         if held:
             flags = model.body_flags.numpy()
             flags[bodies[0]] = int(newton.BodyFlags.KINEMATIC)

@@ -3,9 +3,8 @@
 import newton
 import numpy as np
 import warp as wp
+from scipy.spatial.transform import Rotation
 
-from wrod.bench.cantilever import Cantilever, Start
-from wrod.bench.cantilever_solvers import Vbd
 from wrod.newton_solver import SolverDER
 from wrod.rods.material import RodMaterial
 
@@ -111,17 +110,67 @@ class HeldDer:
         return self._states[0]
 
 
-class HeldVbd(Vbd):
-    """The same under Newton's own cable solver."""
+def weigh(model: newton.Model, mass: float) -> None:
+    """Give every body of a cable of Newton's its mass [kg]: capsules overlap by their caps."""
+    ratio = mass / model.body_mass.numpy()
+    for name, power in (("mass", 1), ("inertia", 1), ("inv_mass", -1), ("inv_inertia", -1)):
+        array = getattr(model, f"body_{name}")
+        values = array.numpy()
+        array.assign(values * ratio.reshape(-1, *[1] * (values.ndim - 1)) ** power)
+
+
+class HeldVbd:
+    """The same under Newton's own cable solver, in float32; its steps replayed as graphs.
+
+    Its first body is clamped: the continuum's clamp stands at that body's middle.
+    """
 
     def __init__(self, worlds: int, edges: int, dt: float, device: str, iterations: int):
-        super().__init__(
-            Cantilever(CABLE, CABLE.length), edges, dt,
-            Start(rods=worlds, gravity=False, damping=False), device, iterations,
+        edge = CABLE.length / (edges - 0.5)
+        x = (np.arange(edges + 1) - 0.5) * edge
+        world = newton.ModelBuilder(gravity=(CABLE.gravity, 0.0, 0.0))
+        cable = newton.Rod(
+            np.column_stack([x, 0 * x, 0 * x]), radius=CABLE.radius,
+            youngs_modulus=CABLE.youngs_modulus,
+            shear_modulus=CABLE.youngs_modulus / (2.0 * (1.0 + CABLE.poisson)),
         )  # fmt: skip
-        model = self._solver.model
-        model.gravity.assign(np.tile([CABLE.gravity, 0.0, 0.0], (len(model.gravity), 1)))
+        bare = newton.ModelBuilder.ShapeConfig(density=CABLE.density, has_shape_collision=False)
+        world.add_rod(rod=cable, cfg=bare, bend_damping=0.0)
+        world.color()
+        builder = newton.ModelBuilder()
+        builder.replicate(world, worlds)
+        model = builder.finalize(device=device)
+        flags = model.body_flags.numpy()
+        flags[::edges] = int(newton.BodyFlags.KINEMATIC)
+        model.body_flags.assign(flags)
+        weigh(model, CABLE.weight / CABLE.gravity * edge)
+        self.dt, self._half = dt, 0.5 * edge
+        self._rows = edges * (np.arange(worlds) + 1) - 1
+        self._solver = newton.solvers.SolverVBD(model, iterations=iterations)
+        self._control, self._states = model.control(), [model.state(), model.state()]
+        self._graphs: list = []
+        self._compiled = False
         self._make_hands(worlds)
+
+    def advance(self, steps: int) -> None:
+        """Graphs are bound to their arrays: one for the steps there, one for those back."""
+        for _ in range(steps):
+            if len(self._graphs) == 2:
+                wp.capture_launch(self._graphs[0])
+                self._graphs.reverse()
+            elif not self._compiled:
+                self._step()
+                self._compiled = True
+            else:
+                with wp.ScopedCapture(device=self._solver.model.device) as capture:
+                    self._step()
+                wp.capture_launch(capture.graph)
+                self._graphs.append(capture.graph)
+            self._states.reverse()
+
+    def tips(self) -> np.ndarray:
+        pose = self._states[0].body_q.numpy()[self._rows].astype(float)
+        return pose[:, :3] + Rotation.from_quat(pose[:, 3:]).apply([0.0, 0.0, self._half])
 
     def _make_hands(self, worlds: int) -> None:
         self._hands = _Hands(self._solver.model, worlds, self.dt)
@@ -131,4 +180,5 @@ class HeldVbd(Vbd):
 
     def _step(self) -> None:
         self._move_hands()
-        super()._step()
+        self._states[0].clear_forces()
+        self._solver.step(*self._states, self._control, None, self.dt)
