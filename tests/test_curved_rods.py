@@ -1,7 +1,6 @@
 """Naturally curved rods: grasps, plans, deployments and datasets of them."""
 
 import json
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +20,8 @@ from wrod.grasps.optimal import solve_grasps
 from wrod.planning.roll import roll_angle
 from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 from wrod.solvers.contact import Contact
 
 CURVED = replace(ROD, natural_curvature=(6.0, 0.0))
@@ -116,30 +117,6 @@ def test_rod_file_carries_natural_curvature(tmp_path):
     for bad in ((1.0,), (1.0, np.nan), "x", None):
         with pytest.raises(RodError, match="natural_curvature"):
             replace(ROD, natural_curvature=bad)
-
-
-def model_file(path, effects, **rod):
-    numbers = {"radius": 0.0016, "gravito_bending_length": 0.018, "length": 0.2, **rod}
-    content = {"format": "wrod-rod-model-1", "rod": numbers}
-    content["effects"] = [{"name": name, "parameters": {}} for name in effects]
-    path.write_text(json.dumps(content))
-    return path
-
-
-def test_identified_model_loads_as_a_rod(tmp_path):
-    path = model_file(
-        tmp_path / "model.json", ["natural_curvature", "stiffness"], natural_curvature=[4.0, 0.5]
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        rod = wrod.load_rod(path)
-    assert rod.natural_curvature == (4.0, 0.5)
-    aside = model_file(tmp_path / "aside.json", ["camera_scale", "stiffness", "grip_slip"])
-    with pytest.warns(WrodWarning, match="camera_scale, grip_slip set aside"):
-        wrod.load_rod(aside)
-    (tmp_path / "broken.json").write_text('{"format": "wrod-rod-model-1", "rod": 3}')
-    with pytest.raises(RodError, match=r"broken\.json: holds no rod"):
-        wrod.load_rod(tmp_path / "broken.json")
 
 
 def test_rolls_by_word():
@@ -303,7 +280,8 @@ def test_dataset_of_one_rod(tmp_path):
 
 
 def test_dataset_command_takes_a_model(tmp_path):
-    path = model_file(tmp_path / "model.json", ["natural_curvature"], natural_curvature=[0.0, 5.0])
+    rod = RodMaterial(0.0016, 0.018, 0.2, natural_curvature=(0.0, 5.0))
+    path = wrod.save_rod(rod, tmp_path / "rod.json")
     out = tmp_path / "grasps"
     args = ["dataset", "--size", "4", "--rod", str(path), "--length", "0.3", "--out", str(out)]
     assert told(*args, "--device", "cpu", "--json")["unconverged"] == 0
@@ -336,15 +314,16 @@ def test_grasps_around_half_a_turn_are_not_torn():
 
 
 def test_plan_command_takes_a_model(tmp_path):
-    path = model_file(
-        tmp_path / "model.json", ["natural_curvature", "air_flow"], natural_curvature=[0.0, 5.0]
+    rod = RodMaterial(0.0016, 0.018, 0.2, natural_curvature=(0.0, 5.0))
+    path = wrod.save_rod(
+        RodModel.of(rod), tmp_path / "model.json", found={"set_aside": ["air_flow"]}
     )
     args = ["plan", "line", "--rod", str(path), "--length", "0.7", "--out", str(tmp_path / "o")]
     args += ["--no-robot", "--no-expect", "--spacing", "0.05", "--device", "cpu", "--json"]
     result = done(*args)
     assert "air_flow set aside" in result.stderr
     figures = json.loads(result.stdout)
-    assert figures["rod"]["natural_curvature"] == [0.0, 5.0]
+    assert figures["rod"]["natural_curvature"] == pytest.approx([0.0, 5.0])
     assert figures["roll"] == pytest.approx(-np.pi / 2)
     assert len(figures["twist"]) == 2
 

@@ -274,10 +274,9 @@ Along = float | RodProfile
 
 
 class RodModelFile(_File, frozen=True):
-    """A rod that may vary along its length (`--rod`), as `wrod identify` writes it; SI units.
-    An internal damping of 0 in "wrod-rod-model-2" is one that nobody has measured."""
+    """A rod that may vary along its length (`--rod`), as `wrod identify` writes it; SI units."""
 
-    format: Literal["wrod-rod-model-3", "wrod-rod-model-2"]
+    format: Literal["wrod-rod-model-3"]
     length: Positive
     bending_stiffness: tuple[Along, Along]
     twisting_stiffness: Along

@@ -1,4 +1,4 @@
-"""Rods as JSON: `RodModel` (`model.json`), `RodMaterial`, and what earlier versions wrote."""
+"""Rods as JSON: `RodModel` (`model.json`) and `RodMaterial`."""
 
 import json
 import os
@@ -20,11 +20,6 @@ from wrod.rods.profile import Profile
 
 MODEL_FORMAT = "wrod-rod-model-3"
 MATERIAL_FORMAT = "wrod-rod-1"
-# Had no word for an internal damping that nobody had measured, and said 0.
-_BEFORE_FORMAT = "wrod-rod-model-2"
-# A uniform rod, and a list of effects of which its numbers carry the first three.
-_OLD_FORMAT = "wrod-rod-model-1"
-_CARRIED = ("stiffness", "density", "natural_curvature")
 # A knot so many lengths of the rod away is a mistake; pieces of rods keep some that are beyond.
 _FAR_KNOTS = 100.0
 _WHAT = "a rod file, as `wrod loop --out` or `wrod identify` writes it"
@@ -125,15 +120,14 @@ def load_rod(
         RodError: the file is missing, not a rod file, or holds unphysical values.
 
     Warns:
-        WrodWarning: the file holds numbers that were not measured, or, written by an earlier
-            version, effects that it cannot carry.
+        WrodWarning: the file holds numbers that were not measured, or names what it cannot carry.
     """
     content = _read(path)
     instead = {"radius": radius, "length": length}
     instead = {key: value for key, value in instead.items() if value is not None}
     try:
-        if content.get("format") not in (MODEL_FORMAT, _BEFORE_FORMAT):
-            return _material(path, content, instead)
+        if content.get("format") != MODEL_FORMAT:
+            return _material(content, instead)
         model = _new(path, content, instead)
         return model if model.not_uniform() else model.material()
     except RodError as error:
@@ -142,12 +136,10 @@ def load_rod(
 
 
 def _new(path, content: dict, instead: dict) -> RodModel:
-    found, before = content.get("found"), content["format"] == _BEFORE_FORMAT
+    found = content.get("found")
     content = {k: v for k, v in content.items() if k not in ("format", "found")}
     assumed = content.pop("assumed", [])
     model = model_of(content)
-    if before and not model.internal_damping:
-        model = replace(model, internal_damping=None)
     aside = found.get("set_aside") if isinstance(found, dict) else None
     aside = [name for name in aside if isinstance(name, str)] if isinstance(aside, list) else []
     said = [f"{', '.join(aside)!s:.200} set aside, as it belongs to the measurement"] * bool(aside)
@@ -179,11 +171,12 @@ def with_length(model: RodModel, length: float) -> RodModel:
     return replace(model, length=length, point_masses=masses)
 
 
-def _material(path, content: dict, instead: dict) -> RodMaterial:
-    if content.get("format") == _OLD_FORMAT:
-        content = {"format": MATERIAL_FORMAT, **_rod_of_old(path, content, instead)}
+def _material(content: dict, instead: dict) -> RodMaterial:
     if content.pop("format", None) != MATERIAL_FORMAT:
-        raise RodError(f"is not a {MATERIAL_FORMAT} file; write one with `wrod loop --out`")
+        raise RodError(
+            f"is not a {MATERIAL_FORMAT} file, nor a {MODEL_FORMAT} one; write one with "
+            "`wrod loop --out` or `wrod identify`"
+        )
     content = {**content, **instead}
     try:
         msgspec.convert({"format": MATERIAL_FORMAT, **content}, schemas.RodFile)
@@ -192,24 +185,6 @@ def _material(path, content: dict, instead: dict) -> RodMaterial:
         raise RodError(entry_message(str(error))) from None
     except (TypeError, UnicodeError) as error:
         raise RodError(str(error).replace("RodMaterial.__init__() ", "")) from None
-
-
-def _rod_of_old(path, content: dict, instead: dict) -> dict:
-    rod, effects = content.get("rod"), content.get("effects")
-    named = isinstance(effects, list) and all(
-        isinstance(e, dict) and isinstance(e.get("name"), str) for e in effects
-    )
-    if not isinstance(rod, dict) or not named:
-        raise RodError("holds no rod and effects; write it again with `wrod identify`")
-    aside = [e["name"] for e in effects if e["name"] not in _CARRIED]
-    said = []
-    if aside:
-        said.append(
-            f"{', '.join(aside)} set aside, for an earlier version wrote the file; `wrod identify` "
-            "writes what belongs to the rod into it now"
-        )
-    _warn(path, said + _assumed(rod, content.get("assumed"), instead))
-    return rod
 
 
 def _assumed(rod: dict, assumed, instead: dict) -> list[str]:
@@ -226,7 +201,7 @@ def _warn(path, said: list[str]) -> None:
 
 def _read(path) -> dict:
     content = read_json(path, dict[str, Any], _WHAT, error=RodError)
-    if content.get("format") in (MODEL_FORMAT, _BEFORE_FORMAT):
+    if content.get("format") == MODEL_FORMAT:
         # Every entry of the right kind, named if not; what they mean is for `RodModel`.
         text = json.dumps(content)
         return decode_labels(text, schemas.RodModelFile, str(path), _WHAT, error=RodError)
