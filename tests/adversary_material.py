@@ -57,8 +57,6 @@ VALID = {
     "bench optimised": ["--names", "line", "--device", "cpu"],
     "bench deploy": ["--pattern", "line", "--batch", "1", "--levels", "1", "--device", "cpu"],
     "bench rounds": ["--rods", "2", "--knots", "0", "--rounds", "2", "--device", "cpu"],
-    "bench knot-force": ["--friction", "0.1", "--loosest", "30", "--tightest", "25", "--out",
-                         "{out}"],
     "bench bends": ["--friction", "0.4", "--only", "reef knot", "--out", "{out}"],
     "bench newton": ["--many", "--edges", "4", "--worlds", "2", "--cables", "2"],
     "bench cosserat": ["--experiment", "cantilever", "--solver", "wrod", "--elements", "8"],

@@ -410,7 +410,7 @@ LONG = "n" * 300
         (f"bench applications --trials 1 --case trefoil --out out --usd {LONG}", "too long"),
         (f"bench slippery --out out/{LONG}", "too long"),
         (f"bench bends --out out/{LONG}.png", "too long"),
-        ("bench knot-force --out /proc/none/x.png", "/proc"),
+        ("bench bends --out /proc/none/x.png", "/proc"),
         (f"{LAID} --out a/rod.json --table a/rod.json", "path of its own"),
         (f"{LAID} --out a/rod.json --table b/{LONG}", "too long"),
         ("bench grasp --counts many", "--against"),

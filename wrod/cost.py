@@ -15,8 +15,8 @@ from wrod.telling import asked, flag
 force_option = flag("force", "Begin although it needs more than this machine has.")
 # Of one core of a server's processor; docs/measured.md has them.
 GRASPS_PER_SECOND, SENSITIVITIES_COST = 2000.0, 3.0
-# A node's part of a time step, of rods that are laid and of such as touch themselves.
-LAID_NODE_STEP, KNOTTED_NODE_STEP = 4e-6, 2.3e-5
+# A node's part of a time step, of rods that are laid.
+LAID_NODE_STEP = 4e-6
 APPLICATION = {"S cable": 25.0, "U cable": 15.0, "trefoil": 6.0, "reef": 35.0}
 EQUILIBRIUM, BOUNDARY = 4e-3, 0.8
 IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
@@ -151,12 +151,6 @@ def deployments(
     memory = nodes * 4096.0 * trials
     rate = usable_cores() if device == "cpu" else 100.0
     return Cost(seconds / rate, memory, 1e5 * trials)
-
-
-def overhand_knots(count: int, loosest: float, tightest: float) -> Cost:
-    """Of pulling knots tight, from one radius of the loop to the other, in radii of the rod."""
-    nodes, steps = 7.0 * loosest, 500.0 + 15.0 * loosest + 27.0 * (loosest - tightest)
-    return Cost(count * nodes * steps * KNOTTED_NODE_STEP, 7e4 * count * nodes)
 
 
 def pictures(count: int, width: int, height: int, samples: int = 4) -> Cost:

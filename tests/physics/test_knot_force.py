@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from wrod.bench.overhand import knot_force, pull, solve_braid
+from overhand import knot_force, pull, solve_braid
 
 
 def test_braid_of_the_overhand_knot():

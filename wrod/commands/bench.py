@@ -15,7 +15,6 @@ BENCHMARKS = (
     "table3",
     "deploy",
     "rounds",
-    "knot-force",
     "bends",
     "newton",
     "cosserat",

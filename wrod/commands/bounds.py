@@ -82,8 +82,6 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "bench manifold --lengths": (2, 10_000),
     "bench perception --repeats": (1, 10_000),
     "bench deploy --levels": (1, 8),
-    "bench knot-force --loosest": (20.0, 1e3),  # below it, the strands do not start apart
-    "bench knot-force --tightest": (5.0, 1e3),
     "bench bends --load": (0.05, 1e3),
     "bench grasp --patience": (0.0, 1e6),
     "bench rounds --rounds": (1, 100_000),

@@ -130,7 +130,6 @@ class Pull:
         contact: total normal force N h^2 / B between the strands.
         penetration: deepest, over the radius of the section.
         position: (frame, rod, node, 3) configurations.
-        iterations: (rod,) Newton iterations in all.
     """
 
     radius: np.ndarray
@@ -138,7 +137,6 @@ class Pull:
     contact: np.ndarray
     penetration: np.ndarray
     position: np.ndarray
-    iterations: np.ndarray
 
 
 class _Ends:
@@ -192,7 +190,6 @@ def pull(
     spacing: float = 2.2,
     stiffness: float = 2.0,
     slowness: float = 0.3,
-    progress=None,
 ) -> Pull:
     """Pull overhand knots with these coefficients of friction, from loop radius `loosest` to
     `tightest` (over the section's), in `slowness` periods R^2 of the loop per radius of section.
@@ -239,7 +236,7 @@ def pull(
     radii, forces, normals, depths, shapes = [], [], [], [], []
     duration = 2 * np.pi * (loosest - tightest) / speed
     for part in np.linspace(0, 1, frames):
-        result = pulled.advance(now + part * duration, 0.25 / speed)
+        pulled.advance(now + part * duration, 0.25 / speed)
         q = batch.positions()
         force = batch.evaluate(order=1).gradient.numpy().reshape(len(friction), -1)
         tension = force[:, -3:] - force[:, :3]
@@ -248,13 +245,10 @@ def pull(
         normals.append(contact.load.numpy().sum(axis=(1, 2)))
         depths.append(contact.penetration.numpy().copy())
         shapes.append(q.copy())
-        if progress is not None:
-            progress(part, radii[-1], forces[-1], normals[-1], depths[-1], result)
     return Pull(
         np.array(radii),
         np.array(forces),
         np.array(normals),
         np.array(depths),
         np.array(shapes),
-        pulled.iteration_count.numpy().copy(),
     )
