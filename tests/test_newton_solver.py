@@ -355,23 +355,6 @@ def test_replayed_launches_do_what_fresh_ones_do():
     assert np.abs(results[0] - results[1]).max() < 1e-12
 
 
-def test_example():
-    """The headless example's own criteria hold, and fail before it has run."""
-    from types import SimpleNamespace
-
-    from newton.viewer import ViewerNull
-
-    from wrod.newton_solver.example import Example
-
-    example = Example(ViewerNull(num_frames=1), SimpleNamespace(device=DEVICE))
-    with pytest.raises(ValueError, match="does not lie on the table"):
-        example.test_final()
-    for _ in range(example.frame_count):
-        example.step()
-    example.render()
-    example.test_final()
-
-
 def test_rods_touch_themselves_if_asked():
     """The upper half of a folded rod comes to lie on the lower one, or falls through it."""
     soft = wrod.RodMaterial(radius=0.0008, gravito_bending_length=0.008, length=0.2)

@@ -9,10 +9,8 @@ Success criteria:
 - Its held end is where the gripper is; its free end has been dragged along.
 - At the end it is at rest.
 
-Runs:
-- `python -m wrod.newton_solver.example`
-- `python -m wrod.newton_solver.example --viewer usd --output-path cable.usd`
-- `python -m wrod.newton_solver.example --viewer null --test` (without a display)
+Run: `python examples/newton/drag_cable.py` (`--viewer null --test` without a display,
+`--viewer usd --output-path cable.usd` for a scene)
 """
 
 import newton
@@ -20,9 +18,8 @@ import newton.examples
 import numpy as np
 import warp as wp
 
-from wrod.newton_solver import SolverDER
+import wrod
 from wrod.patterns.curve import smoothstep
-from wrod.rods.catalogue import rod
 
 _SPACING = 0.006
 _TABLE = 0.4  # height of its top [m]
@@ -42,10 +39,10 @@ class Example:
         self.viewer, self.args = viewer, args
         self.frame_dt = 1.0 / 60.0
         self.sim_time = 0.0
-        self.material = rod("green-vps")
+        self.material = wrod.rod("green-vps")
 
         builder = newton.ModelBuilder()
-        SolverDER.register_custom_attributes(builder)
+        wrod.SolverDER.register_custom_attributes(builder)
         builder.add_ground_plane()
         surface = newton.ModelBuilder.ShapeConfig(density=0.0, mu=_FRICTION)
         builder.add_shape_box(
@@ -74,7 +71,7 @@ class Example:
         )  # fmt: skip
         count = round(_LENGTH / _SPACING) + 1
         points = self.start + np.linspace(0.0, _LENGTH, count)[:, None] * [1.0, 0.0, 0.0]
-        SolverDER.add_rod(
+        wrod.SolverDER.add_rod(
             builder,
             points,
             self.material,
@@ -86,7 +83,7 @@ class Example:
             label="cable",
         )
         self.model = builder.finalize(device=args.device)
-        self.solver = SolverDER(self.model, max_step=1.0 / 240.0)
+        self.solver = wrod.SolverDER(self.model, max_step=1.0 / 240.0)
         self.state_0, self.state_1 = self.model.state(), self.model.state()
         self.viewer.set_model(self.model)
         self.viewer.set_camera(pos=wp.vec3(0.1, -0.75, 0.75), pitch=-24.0, yaw=90.0)
