@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from folded_loop import loop_height
 from scipy.integrate import solve_bvp
 from scipy.interpolate import CubicSpline
 
-from wrod.identification.folded_loop import loop_height
 from wrod.rods.material import LOOP_HEIGHT_RATIO
 
 

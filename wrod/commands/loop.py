@@ -14,11 +14,6 @@ from wrod.telling import json_option, tell
 @click.option("--density", type=float, default=1180.0, show_default=True, help="Density [kg/m^3].")
 @click.option("--poisson", type=float, default=0.5, show_default=True, help="Poisson's ratio.")
 @click.option(
-    "--derive",
-    is_flag=True,
-    help="Solve the loop's equilibrium afresh (seconds) instead of taking its known height.",
-)
-@click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Rod file (.json) to write; `wrod plan --rod` reads it.",
@@ -30,7 +25,6 @@ def command(
     length: float,
     density: float,
     poisson: float,
-    derive: bool,
     out: Path | None,
 ) -> None:
     """Measure a rod: fold it over on the table and read how high the loop stands.
@@ -49,19 +43,13 @@ def command(
             f"a rod of --length {length:g} m stands no loop of --height {height:g} m: {needed:.3g} "
             "m are off the table in that; check both numbers"
         )
-    ratio = LOOP_HEIGHT_RATIO
     rod = RodMaterial.from_loop_height(height, radius, length, density=density, poisson=poisson)
-    if derive:
-        from wrod.identification.folded_loop import loop_height
-
-        ratio = loop_height()
-        rod = RodMaterial(radius, height / ratio, length, poisson, density)
     if out is not None:
         if out.suffix != ".json":
             raise RodError(f"{out}: is not a .json file name; `wrod plan --rod` knows rods by it")
         save_rod(rod, out)
     figures = {
-        "loop_height_ratio": ratio,
+        "loop_height_ratio": LOOP_HEIGHT_RATIO,
         "gravito_bending_length": rod.gravito_bending_length,
         "stretch_ratio": rod.stretch_ratio,
         "youngs_modulus": rod.youngs_modulus,
@@ -70,7 +58,7 @@ def command(
     }
     tell(
         figures,
-        f"loop height             {ratio:.5f} L_gb",
+        f"loop height             {LOOP_HEIGHT_RATIO:.5f} L_gb",
         f"gravito-bending length  {rod.gravito_bending_length * 100:.3f} cm",
         f"stretch ratio           {rod.stretch_ratio:.0f}",
         f"Young's modulus         {rod.youngs_modulus / 1e6:.3f} MPa",

@@ -1,7 +1,7 @@
 """A rod's gravito-bending length with a ruler: how far an overhanging end falls.
 
 The rod is clamped level at a table's edge, and a length of it hangs over. (The folded loop is
-`wrod.identification.folded_loop`, the photograph of a hanging loop `hanging_loop`.)
+`RodMaterial.from_loop_height`, the photograph of a hanging loop `hanging_loop`.)
 """
 
 from dataclasses import dataclass

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from wrod import arguments
 from wrod.errors import RodError
 
-# Height of the loop of a heavy rod over its gravito-bending length, as
-# `wrod.identification.folded_loop` derives it from the heavy elastica. The paper's 0.9066 belongs
-# to (k_b/(pi h^2 rho g))^(1/3), 2^(1/3) larger.
+# Height of the loop of a heavy rod over its gravito-bending length: the heavy elastica's and a
+# discrete rod's (tests/physics/test_loop.py). The paper's 0.9066 belongs to
+# (k_b/(pi h^2 rho g))^(1/3), 2^(1/3) larger.
 LOOP_HEIGHT_RATIO = 1.14224
 # Rod between where it leaves the table and where it meets it again, over L_gb.
 LOOP_LENGTH_RATIO = 5.83
@@ -162,7 +162,7 @@ class RodMaterial:
         """Rod whose folded loop stands `loop_height` [m] above the table (Fig. material).
 
         The height is that of the centreline above the flat part's centreline, and is
-        1.14224 L_gb (see `wrod.identification.folded_loop`), not the paper's 0.9066 L_gb.
+        1.14224 L_gb (tests/physics/test_loop.py), not the paper's 0.9066 L_gb.
         """
         if not (isinstance(loop_height, (int, float)) and 0 < loop_height < math.inf):
             raise RodError(f"loop height is {loop_height!r:.80}; give a positive number of metres")

@@ -24,7 +24,7 @@ _SEARCH = {"factor": 0.1, "eps": 1e-8}
 def loop_height(edge_count: int = 128) -> float:
     """Height of the loop's top above the flat rod [L_gb], from the discrete rod's equilibrium.
 
-    Two meshes are extrapolated. `wrod.rods.material.LOOP_HEIGHT_RATIO` is this number.
+    Two meshes are extrapolated.
 
     Raises:
         WrodError: the equilibrium was not found.
