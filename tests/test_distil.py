@@ -8,7 +8,7 @@ import pytest
 from cli import refused
 
 import wrod
-from wrod.controller.corrector import Corrector, Course
+from wrod.controller.corrector import Corrector, CorrectorInputs
 from wrod.errors import DataError, OutOfRangeWarning
 
 plans = pytest.importorskip("wrod.training.plans")
@@ -158,7 +158,7 @@ def test_a_network_learns_what_plans_do_and_mirrors_it(tmp_path):
 
 
 def test_a_corrector_sees_no_curvature_where_nothing_is_laid():
-    course = Course(np.linspace(0.0, 12.0, 60), np.ones(60), 20.0, 1500.0, 0.3)
+    course = CorrectorInputs(np.linspace(0.0, 12.0, 60), np.ones(60), 20.0, 1500.0, 0.3)
     seen = course.features()[:, : len(wrod.controller.corrector.WINDOW)]
     assert seen[0, 0] == 0.0 and seen[-1, -1] == 0.0 and seen[28].min() == 1.0
 

@@ -5,7 +5,7 @@ import pytest
 
 from wrod.robot.attempt import Task
 from wrod.robot.collision import CollisionModel
-from wrod.robot.grip import GripPath
+from wrod.robot.grip import TravelledPath
 from wrod.robot.kinematics import grasp_poses
 from wrod.robot.model import load_robot
 from wrod.robot.placement import candidates
@@ -16,7 +16,7 @@ from wrod.robot.variation import vary
 @pytest.fixture(scope="module")
 def task(letter):
     arm = load_robot("panda")
-    path = GripPath(letter)
+    path = TravelledPath(letter)
     made = Task(arm, CollisionModel(arm), letter, path, 0.02, 0.005, 0.002, None, True)
     made.travel = np.linspace(0.0, path.travel[-1], 24)
     return made

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from wrod.training.plan_files import Sample
 
-from wrod.controller.corrector import FEATURES, OUTPUTS, Corrector, Course, formula
+from wrod.controller.corrector import FEATURES, OUTPUTS, Corrector, CorrectorInputs, formula
 from wrod.errors import DataError, needed_extras
 
 with needed_extras():
@@ -34,9 +34,9 @@ _NEAR, _ENOUGH = 0.02, 0.02
 _HELD_OUT, _LOOK = 8, 50
 
 
-def course_of(sample: Sample) -> Course:
+def course_of(sample: Sample) -> CorrectorInputs:
     """What a corrector is asked about the pattern of a plan."""
-    return Course(
+    return CorrectorInputs(
         sample.laid, sample.curvature, sample.length, sample.stretch_ratio, sample.friction
     )
 

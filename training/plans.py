@@ -13,8 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from wrod.training.dataset import Rank
 from wrod.training.plan_files import Bowl, Sample, claim, read, store
 
-from wrod.controller.corrector import Corrector
-from wrod.controller.corrector import Course as Asked
+from wrod.controller.corrector import Corrector, CorrectorInputs
 from wrod.deployment.corrections import Corrections
 from wrod.deployment.descent import Task, sample_of
 from wrod.deployment.distilled import asked
@@ -140,7 +139,7 @@ def visit(index: int, seed: int, sample: Sample, corrector: Corrector) -> Course
     return sample.laid_by(values, bowl) if bowl.is_usable else sample
 
 
-def _asked(task: Task) -> Asked:
+def _asked(task: Task) -> CorrectorInputs:
     """What a network is asked about a task."""
     low, high = Spread.of(task.friction).friction
     return asked(task.pattern, task.rod, task.trajectory, 0.5 * (low + high))

@@ -13,7 +13,7 @@ THREE = wp.constant(wp.float64(3.0))
 
 
 @wp.struct
-class Course:
+class Timetable:
     """Keys at which hands are told where to be: their times (key,), the one (rod,) at which a rod
     stops, the one that it has reached, and whether it did so in this round."""
 
@@ -126,7 +126,7 @@ def arrive(
     # State in:
     reaction: wp.array2d(dtype=wp.float64),
     # State in and out:
-    course: Course,
+    course: Timetable,
     pace: Pace,
     edge: wp.array2d(dtype=wp.int32),
     # State out:
@@ -168,7 +168,7 @@ def pull(
     edge: wp.array2d(dtype=wp.int32),
     load: wp.array2d(dtype=wp.float64),
     # State in and out:
-    course: Course,
+    course: Timetable,
     pace: Pace,
     pulling: Pull,
     # State out:
@@ -218,7 +218,7 @@ def pull(
 @wp.kernel
 def keep_tight(
     # State in:
-    course: Course,
+    course: Timetable,
     pace: Pace,
     pulling: Pull,
     dof: wp.array2d(dtype=wp.float64),

@@ -25,7 +25,7 @@ _RANGE = ("friction", "curvature", "rod_length", "stretch_ratio")
 
 
 @dataclass(frozen=True)
-class Course:
+class CorrectorInputs:
     """What a corrector is asked about, dimensionless.
 
     Attributes:
@@ -113,7 +113,7 @@ class Corrector(Trained):
             path = str(shipped / "corrections.safetensors")
         return cls._read(path)
 
-    def predict(self, course: Course) -> np.ndarray:
+    def predict(self, course: CorrectorInputs) -> np.ndarray:
         """(T, 3) corrections of the grip's position (forward, left, up) in the contact's frame
         [L_gb].
 

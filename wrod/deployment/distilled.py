@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrod.controller.corrector import Corrector, Course
+from wrod.controller.corrector import Corrector, CorrectorInputs
 from wrod.deployment.corrections import Corrections
 from wrod.errors import GraspError
 from wrod.patterns.pattern import Pattern
@@ -59,12 +59,12 @@ def distilled(
 
 def asked(
     pattern: Pattern, rod: RodModel | RodMaterial, trajectory: Trajectory, friction: float
-) -> Course:
+) -> CorrectorInputs:
     """What a corrector is asked about a trajectory."""
     lgb = rod.gravito_bending_length
     on = np.clip(trajectory.pattern_arc_length, -pattern.remainder_length, pattern.length)
     curvature = pattern.sample(on)[2]
-    return Course(
+    return CorrectorInputs(
         trajectory.arc_length / lgb,
         curvature * lgb,
         rod.length / lgb,

@@ -57,7 +57,7 @@ class Hands:
         self.felt = wp.zeros(shape, dtype=wp.float64, device=device)
         # A hand's point is the middle of its edge.
         self._part = wp.full(shape, wp.float64(0.5), dtype=wp.float64, device=device)
-        self.course = hands.Course()
+        self.course = hands.Timetable()
         for name in ("last", "reached", "arrived"):
             setattr(self.course, name, wp.zeros(scenes, dtype=wp.int32, device=device))
         self._key = 0

@@ -6,7 +6,7 @@ from wrod.errors import RobotError
 from wrod.robot.arm import ARM_ROOM, Arm, gap_between
 from wrod.robot.transfer_path import TransferPath
 from wrod.robot.transfers import HandFilm
-from wrod.robot.transit import Way, find_way
+from wrod.robot.transit import Transit, find_way
 
 _CHECK = 0.05  # [s] between the points at which both arms are compared
 _PAUSE = 0.2  # [s]
@@ -100,7 +100,7 @@ class ArmTimeline:
         work = [(self._work(h, before), self._work(h, after)) for h in range(2)]
         moving = [h for h, (at, to) in enumerate(work) if at is not to]
 
-        def find(hand: int, stops: str, other) -> Way | None:
+        def find(hand: int, stops: str, other) -> Transit | None:
             """From the "rod" of the run before, or where the arm "waits", to either."""
             here = {"r": begin[hand], "w": self.waiting[hand]}[stops[0]]
             there = {"r": end[hand], "w": self.waiting[hand]}[stops[1]]
@@ -156,7 +156,7 @@ class ArmTimeline:
         return float(gap_between(one, other).min())
 
 
-def _played(parts: list[tuple[int, float, Way]], begin, time: np.ndarray) -> list[np.ndarray]:
+def _played(parts: list[tuple[int, float, Transit]], begin, time: np.ndarray) -> list[np.ndarray]:
     """Joint positions (k, n) of both arms at times (k,) [s]; one at rest stays where it is."""
     out = [np.repeat(q[None], len(time), axis=0) for q in begin]
     for hand, start, way in parts:

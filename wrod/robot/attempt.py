@@ -9,7 +9,7 @@ import numpy as np
 
 from wrod.planning.trajectory import Trajectory
 from wrod.robot.collision import CollisionModel
-from wrod.robot.grip import Grip, GripPath, grasp_targets
+from wrod.robot.grip import Grip, TravelledPath, grasp_targets
 from wrod.robot.knots import COARSEST, joint_spline
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement, contact_in_base
@@ -51,7 +51,7 @@ class Task:
     robot: Robot
     model: CollisionModel
     trajectory: Trajectory
-    path: GripPath
+    path: TravelledPath
     limit_margin: float
     clearance: float
     rod_radius: float

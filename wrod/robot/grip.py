@@ -46,7 +46,7 @@ class Grip:
         return Rotation.from_rotvec([self.roll, 0.0, 0.0]).as_matrix() @ tilt @ hold
 
 
-class GripPath:
+class TravelledPath:
     """A trajectory as a smooth curve of poses: C2 splines through its nodes over the arc length.
 
     Grip poses are smooth functions of the laid length: where the grip swings by centimetres from

@@ -24,7 +24,7 @@ from wrod.robot.stand import stands, stays
 from wrod.robot.tail import LaidTail, tails
 from wrod.robot.timing import schedule
 from wrod.robot.transfers import Hand
-from wrod.robot.transit import Leg, Way, find_way
+from wrod.robot.transit import Leg, Transit, find_way
 
 # Where the hand may wait: distance from the arm's axis and height over the base as shares of the
 # arm's reach, bearing off the pattern [degrees].
@@ -226,7 +226,7 @@ def _around(arm: Arm, task: Task, node: int, stand: list | None = None):
     return np.concatenate(starts)[None], np.concatenate(ends)[None], np.concatenate(radii)
 
 
-def _played(phase: str, robot, way: Way, rate: float, laid: float) -> list[_Piece]:
+def _played(phase: str, robot, way: Transit, rate: float, laid: float) -> list[_Piece]:
     """The legs of a way, each from rest to rest within the limits of every joint."""
     return [_Piece(phase, *_timed(robot, leg, rate), laid) for leg in way.legs]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.robot.collision import CollisionModel
-from wrod.robot.grip import GripPath
+from wrod.robot.grip import TravelledPath
 from wrod.robot.kinematics import grasp_poses, manipulability, pose_error
 from wrod.robot.model import Robot
 from wrod.robot.redundancy import Surroundings, gaps
@@ -46,7 +46,7 @@ class PathReport:
 def inspect(
     robot: Robot,
     model: CollisionModel,
-    path: GripPath,
+    path: TravelledPath,
     arc_length: np.ndarray,
     travel: np.ndarray,
     positions: np.ndarray,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.robot.grip import TURN_LENGTH, Grip, GripPath, grasp_targets
+from wrod.robot.grip import TURN_LENGTH, Grip, TravelledPath, grasp_targets
 from wrod.robot.kinematics import newton_step, null_projection, solve_poses
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
@@ -38,7 +38,7 @@ class Branch:
 
 def find_branches(
     robot: Robot,
-    path: GripPath,
+    path: TravelledPath,
     travel: np.ndarray,
     choices: list[tuple[Placement, Grip]],
     seeds: int = 10,

@@ -14,7 +14,7 @@ from wrod.errors import RobotError, WrodWarning, needed_extras
 from wrod.planning.trajectory import Trajectory
 from wrod.robot.attempt import Solution, Task
 from wrod.robot.collision import CollisionModel
-from wrod.robot.grip import GripPath
+from wrod.robot.grip import TravelledPath
 from wrod.robot.job import with_job
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import one_torch_thread
@@ -124,7 +124,7 @@ def solve_joint_path(
             arm,
             CollisionModel(arm),
             trajectory,
-            GripPath(trajectory),
+            TravelledPath(trajectory),
             limit_margin,
             clearance,
             _RADIUS if rod is None else rod.radius,
@@ -276,7 +276,7 @@ def _angles(grip_angle) -> tuple[float, ...]:
 
 
 def _timed(
-    arm: Robot, path: GripPath, solution: Solution, grip_speed, rate, seconds: float
+    arm: Robot, path: TravelledPath, solution: Solution, grip_speed, rate, seconds: float
 ) -> JointPath:
     timing = schedule(arm, solution.spline, path.travel[-1], grip_speed)
     time = np.arange(math.ceil(timing.duration * rate) + 1) / rate

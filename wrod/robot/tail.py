@@ -6,7 +6,7 @@ import numpy as np
 
 from wrod.planning.tail import with_tail
 from wrod.robot.attempt import Task
-from wrod.robot.grip import GripPath
+from wrod.robot.grip import TravelledPath
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import refine
 from wrod.robot.knots import COARSEST, joint_spline
@@ -39,7 +39,7 @@ def tails(path: JointPath, task: Task):
     joined = with_tail(task.trajectory, None, FINGERS + task.clearance)
     if joined is None:
         return
-    way = GripPath(joined)
+    way = TravelledPath(joined)
     longer = replace(task, trajectory=joined, path=way)
     begin = way.travel[len(task.trajectory) - 1]
     low, high = begin, way.travel[-1]
@@ -102,5 +102,5 @@ def _followed(path: JointPath, task: Task, begin: float, end: float) -> LaidTail
         shifted(travel),
         shifted(travel, 1) * speed[:, None],
         laid,
-        replace(task, trajectory=cut, path=GripPath(cut)),
+        replace(task, trajectory=cut, path=TravelledPath(cut)),
     )

@@ -50,7 +50,7 @@ class Leg:
 
 
 @dataclass(frozen=True)
-class Way:
+class Transit:
     """Legs one after the other."""
 
     legs: tuple[Leg, ...]
@@ -166,7 +166,7 @@ def find_way(
     arrive: bool,
     wait: np.ndarray | None = None,
     other=None,
-) -> Way | None:
+) -> Transit | None:
     """A way between joint positions (n,) that keeps clear of the table and the arm's own links.
 
     Args:
@@ -194,7 +194,7 @@ def find_way(
             legs += part
     if ahead:
         legs.append(Leg(ahead.knots[::-1], ahead.duration))
-    return Way(tuple(legs)) if legs else Way((Leg(np.stack([first, last]), 0.2),))
+    return Transit(tuple(legs)) if legs else Transit((Leg(np.stack([first, last]), 0.2),))
 
 
 def _through_air(arm: Arm, a: np.ndarray, b: np.ndarray, other) -> list[Leg] | None:

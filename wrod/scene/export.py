@@ -13,7 +13,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import SceneError, needed_extras
 from wrod.files import write_atomically
-from wrod.robot.grip import Grip, GripPath
+from wrod.robot.grip import Grip, TravelledPath
 from wrod.scene.arm import add_arm, add_visuals
 from wrod.scene.phases import covered, falling, film, rods_of
 from wrod.scene.primitives import Materials, set_pose
@@ -255,7 +255,7 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
     add_pattern(stage, f"{root}/pattern", item.points, item.radius, materials)
     name = _rod_name(trajectory, item.rod)
     add_rod(stage, f"{root}/rod", shown.shapes, item.radius, name, times, materials)
-    smooth = GripPath(trajectory)
+    smooth = TravelledPath(trajectory)
     way = smooth.poses(smooth.samples(0.005))[:, :3, 3]
     add_grip_path(stage, f"{root}/grip_path", way, materials)
     below = np.array([0.0, 0.0, table.floor - table.top])
