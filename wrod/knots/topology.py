@@ -18,6 +18,7 @@ from wrod.knots.polynomials import KNOWN, Visits, jones, polynomial_text
 
 # Closing points lie this many times the rods' extent away.
 _FAR = 20.0
+_CLOSURES = 15  # of open rods, each in a random direction
 # A crossing this close to a vertex (fraction of the segment) is looked at from elsewhere.
 _GENERIC = 1e-9
 _ATTEMPTS = 20
@@ -99,27 +100,23 @@ def name_of(curves: list[np.ndarray] | np.ndarray, seed: int = 0) -> str:
     return KNOWN.get(frozenset(powers.items()), f"Jones {polynomial_text(powers)}")
 
 
-def recognise_knot(rod: np.ndarray, closures: int = 15, seed: int = 0) -> Recognition:
+def recognise_knot(rod: np.ndarray) -> Recognition:
     """Knot of one open rod: its ends are joined far away, in random directions, and the most
     frequent knot counts.
 
     Args:
         rod: (node, 3) centreline.
-        closures: number of directions.
-        seed: of the directions.
 
     Raises:
         RodError: the rod is not a line of three or more finite points, or touches itself.
     """
     rod = _checked(rod)
     centre, reach = _extent([rod])
-    far = centre + _FAR * reach * _directions(closures, seed)
-    return _majority([name_of(np.vstack([rod, point]), seed + k) for k, point in enumerate(far)])
+    far = centre + _FAR * reach * _directions(_CLOSURES)
+    return _majority([name_of(np.vstack([rod, point]), k) for k, point in enumerate(far)])
 
 
-def recognise_pair(
-    first: np.ndarray, second: np.ndarray, closures: int = 15, seed: int = 0
-) -> Recognition:
+def recognise_pair(first: np.ndarray, second: np.ndarray) -> Recognition:
     """Knot that joins two open rods: the first end of one is joined far away to the first end of
     the other, the last to the last.
 
@@ -129,17 +126,16 @@ def recognise_pair(
 
     Args:
         first, second: (node, 3) centrelines, both beginning with the standing end.
-        closures, seed: as for `recognise_knot`.
 
     Raises:
         RodError: as for `recognise_knot`.
     """
     first, second = _checked(first), _checked(second)
     centre, reach = _extent([first, second])
-    far = centre + _FAR * reach * _directions(2 * closures, seed).reshape(closures, 2, 3)
+    far = centre + _FAR * reach * _directions(2 * _CLOSURES).reshape(_CLOSURES, 2, 3)
     return _majority(
         [
-            name_of(np.vstack([first, last, second[::-1], begin]), seed + k)
+            name_of(np.vstack([first, last, second[::-1], begin]), k)
             for k, (begin, last) in enumerate(far)
         ]
     )
@@ -160,8 +156,8 @@ def _extent(rods: list[np.ndarray]) -> tuple[np.ndarray, float]:
     return centre, float(np.linalg.norm(points - centre, axis=1).max())
 
 
-def _directions(count: int, seed: int) -> np.ndarray:
-    raw = np.random.default_rng(seed).standard_normal((count, 3))
+def _directions(count: int) -> np.ndarray:
+    raw = np.random.default_rng(0).standard_normal((count, 3))
     return raw / np.linalg.norm(raw, axis=1)[:, None]
 
 

@@ -57,7 +57,7 @@ class LinkShape:
 
 @dataclass(frozen=True)
 class UrdfFile:
-    """A parsed URDF whose links, parents and mesh files are known to exist."""
+    """A parsed URDF that `read_urdf` has checked: a tree of links whose shapes are whole."""
 
     path: Path
     root: ElementTree.Element
@@ -74,13 +74,7 @@ class UrdfFile:
     def base_link(self) -> str:
         """The one link that is no joint's child."""
         children = {joint.find("child").get("link") for joint in self.joints}
-        roots = [name for name in self.links if name not in children]
-        if len(roots) != 1:
-            raise RobotError(
-                f"{self.path}: {len(roots)} links have no parent ({', '.join(roots) or 'none'}); "
-                "a robot needs exactly one root link"
-            )
-        return roots[0]
+        return next(name for name in self.links if name not in children)
 
     def require_link(self, name: str, role: str) -> None:
         if name not in self.links:
@@ -178,13 +172,7 @@ class UrdfFile:
         color = None
         if material is not None:
             color = _color(material) or colors.get(material.get("name"))
-        geometry = element.find("geometry")
-        shape = next(iter(geometry)) if geometry is not None and len(geometry) else None
-        if shape is None or shape.tag not in ("sphere", "cylinder", "box", "mesh"):
-            raise RobotError(
-                f"{self.path}: link {link!r:.80} has a {element.tag} without sphere, cylinder, "
-                "box or mesh"
-            )
+        shape = next(iter(element.find("geometry")))
         if shape.tag == "mesh":
             scale = tuple(_floats(shape.get("scale", "1 1 1")))
             return LinkShape(
