@@ -12,6 +12,7 @@ from wrod.identification.effect import Model, effects
 from wrod.identification.motion.checks import inertia_share
 from wrod.identification.motion.fit import MotionLaboratory
 from wrod.identification.motion.loading import load_motion, motion_from_arrays
+from wrod.identification.motion.repair import sorted_grips
 from wrod.identification.motion.report import identify_motion
 from wrod.identification.motion.setup import START_L_GB
 from wrod.rods.batch import RodBatch
@@ -223,6 +224,16 @@ def test_exchanged_grip_markers_are_put_back(recorded):
     m = motion_from_arrays(data)
     assert m.repaired.tolist() == [0, 0, 0, len(recorded["positions"][0]) - 10, 0, 0, 0, 0]
     np.testing.assert_array_equal(m.positions, recorded["positions"])
+
+
+def test_a_rod_that_swings_past_its_grip_is_no_exchange_of_markers(recorded):
+    x = recorded["positions"].copy()
+    x[3, 20:26, 2] = x[3, 20:26, 0] + [0.01, 0.0, 0.0]
+    sorted_x, repaired = sorted_grips(x)
+    assert repaired.sum() == 0
+    np.testing.assert_array_equal(sorted_x, x)
+    x[3, 10:23, [0, 1]] = x[3, 10:23, [1, 0]]
+    assert sorted_grips(x)[1].tolist() == [0, 0, 0, 13, 0, 0, 0, 0]
 
 
 def test_other_recordings_are_scored_and_never_fitted(recorded):

@@ -111,7 +111,8 @@ def traced(m, viscous=0.0, law=()):
 
 @pytest.fixture(scope="module")
 def traces():
-    found = {name: traced(moved(hidden)) for name, hidden in HIDDEN.items()}
+    """Of what is hidden about a base with damping, which identification fits first."""
+    found = {name: traced(moved(hidden), VISCOUS) for name, hidden in HIDDEN.items()}
     m = moved()
     return found | {"nothing": traced(m), "nothing, damped": traced(m, VISCOUS)}
 
@@ -162,7 +163,7 @@ def test_wind_is_fixed_in_the_laboratory_where_it_blows(traces):
     trace = traces["wind"]
     blown, turned = (named(trace, f"force_in_{frame}") for frame in ("laboratory", "material"))
     assert trace.prints[0] is blown
-    assert blown.share > turned.share and trace.steps[1][1] > 0.95
+    assert blown.share > turned.share and blown.share > 0.95
     assert blown.value[4:6, 1].mean() == pytest.approx(WIND / GRAVITY, rel=0.25)
     assert np.abs(blown.value[1:3, 1]).max() < 0.25 * WIND / GRAVITY
     value, _ = trace.force.mean("laboratory")

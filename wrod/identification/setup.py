@@ -1,7 +1,7 @@
 """A rod as plain arrays, which effects change: what every identification has of it."""
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -42,6 +42,9 @@ class RodSetup:
     line_mass: np.ndarray
     node_mass: np.ndarray
     gravity: np.ndarray
+
+    # Power of a factor of every stiffness that stretching goes with; 1 where the radius is known.
+    stretching_power: ClassVar[float] = 1.0
 
     @classmethod
     def plain(

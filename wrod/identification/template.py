@@ -10,6 +10,7 @@ from wrod.errors import DataError
 from wrod.files import write_npz
 from wrod.rods.batch import RodBatch
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
@@ -93,9 +94,14 @@ def clamped_example() -> dict[str, Any]:
     }
 
 
-def motion_example() -> dict[str, Any]:
-    """Arrays of four recordings of a cable that swings between two grips, let go of aside."""
-    rng = np.random.default_rng(0)
+def motion_example(rod: RodMaterial | RodModel = _CABLE, seed: int = 0) -> dict[str, Any]:
+    """Arrays of four recordings of a cable that swings between two grips, let go of aside.
+
+    Args:
+        rod: the cable, as long or longer than the 0.36 m from the first marker to the last.
+        seed: of how it is let go of and of the noise.
+    """
+    rng = np.random.default_rng(seed)
     held, inner, fine, count = 0.03, 0.015, 4, 20
     spans = np.concatenate([[held], np.full(count * fine, inner / fine), [held]])
     s = np.concatenate([[0.0], np.cumsum(spans)])
@@ -105,17 +111,17 @@ def motion_example() -> dict[str, Any]:
     line[0], line[-1] = [0.0, 0.0, held], [apart, 0.0, held]
     # What is inside the grips does not bend.
     lines = np.repeat(line[None], _RECORDINGS, axis=0)
-    batch = RodBatch.of(_CABLE, s, lines, clamped=(True, True))
+    batch = RodBatch.of(rod, s, lines, clamped=(True, True))
     prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
     aside = np.radians(rng.uniform(20.0, 60.0, _RECORDINGS) * rng.choice([-1, 1], _RECORDINGS))
     pull = np.column_stack([0.3 * rng.normal(size=_RECORDINGS), np.sin(aside), -np.cos(aside)])
     down = batch.gravity.numpy().copy()
-    batch.gravity.assign(_CABLE.gravity * pull / np.linalg.norm(pull, axis=1, keepdims=True))
+    batch.gravity.assign(rod.gravity * pull / np.linalg.norm(pull, axis=1, keepdims=True))
     if not EquilibriumSolver(batch).solve(ramp_loads=True).converged.all():
         raise DataError("the example's cable found no equilibrium; use another seed")
     batch.gravity.assign(down)
     moving = Dynamics(
-        batch, scheme="bdf2", radius=_CABLE.radius, internal_damping=_DAMPING, keeps_recording=True
+        batch, scheme="bdf2", radius=rod.radius, internal_damping=_DAMPING, keeps_recording=True
     )
     shown = [0, *range(1, len(s) - 1, fine), len(s) - 1]
     positions = []
@@ -128,6 +134,6 @@ def motion_example() -> dict[str, Any]:
         "positions": x + rng.normal(0.0, 5e-5, x.shape),
         "rate_hz": np.float64(_RATE),
         "held": np.array([0, 1, len(shown) - 2, len(shown) - 1]),
-        "gravity": np.float64(_CABLE.gravity),
+        "gravity": np.float64(rod.gravity),
         "file_ids": np.array([f"swing-{k + 1}" for k in range(_RECORDINGS)]),
     }

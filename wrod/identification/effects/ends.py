@@ -127,4 +127,4 @@ class RodLength(Effect):
     parameters = (Parameter("relative_change", "", 0.01),)
 
     def apply(self, setup, values):
-        setup.rest_length = setup.rest_length * (1.0 + values[0])
+        setup.mean_length = setup.mean_length * (1.0 + values[0])

@@ -12,8 +12,12 @@ class Stiffness(Effect):
     title = "wrong gravito-bending length (every stiffness scales)"
     reference = "L_gb = (k_b / (2 pi h^2 rho g))^(1/3), paper Eq. nondimensionl_mapping"
     kinds = ("clamped", "motion")
-    scales = ("bending", "twisting", "stretching")
+    scales = ("bending", "twisting")
     parameters = (Parameter("log_stiffness_ratio", "", 1.0),)
+
+    def apply(self, setup, values):
+        super().apply(setup, values)
+        setup.stretching = setup.stretching * np.exp(setup.stretching_power * values[0])
 
     def describe(self, values, covariance, measurements):
         own = super().describe(values, covariance, measurements)

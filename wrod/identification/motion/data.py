@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from wrod.errors import DataError
-from wrod.identification.motion.curves import spline_lengths, through_markers
+from wrod.identification.motion.curves import spline_lengths
 from wrod.identification.motion.noise import TimeNoise, noise_in_time
 from wrod.identification.motion.setup import START_L_GB
 
@@ -70,16 +70,6 @@ class MotionMeasurements:
         """(M,) arc length of each marker from the first [m]: of splines through the markers, the
         mean over the fitted recordings."""
         return np.concatenate([[0.0], np.cumsum(self._edges.mean(axis=(0, 1)))])
-
-    def edge_length(self, pieces: int) -> np.ndarray:
-        """(n,) mean distance between neighbours of the nodes that cut the curves through the
-        markers into `pieces` between neighbouring free ones [m].
-
-        The edges of a rod that is never straight are chords: taken for arcs they would be
-        compressed, by (curvature length)^2 / 24.
-        """
-        nodes = through_markers(self.positions[self.fit][:, ::10], pieces)
-        return np.linalg.norm(np.diff(nodes, axis=2), axis=3).mean(axis=(0, 1))
 
     def length_change(self, recording: np.ndarray, start: np.ndarray) -> np.ndarray:
         """(W, M - 1) what to add to the mean edges in windows, from their first two frames [m].

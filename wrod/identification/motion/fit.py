@@ -16,6 +16,7 @@ from wrod.identification.motion.remembered import Remembered
 from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.solver import MotionSolver
 from wrod.identification.motion.tangents import COMPLEX_STEP
+from wrod.identification.motion.tension import base_setup
 from wrod.identification.motion.windows import Windows, windows_of
 
 # Errors of a motion grow far beyond the markers' noise, so large ones count linearly.
@@ -91,9 +92,7 @@ class MotionLaboratory:
     ):
         self.measurements, self.subdivisions = measurements, subdivisions
         self.remembered = remembered
-        self.base = MotionSetup.base(
-            measurements.edge_length(subdivisions), subdivisions, measurements.gravity
-        )
+        self.base = base_setup(measurements, subdivisions)
         self.substeps, self.device, self.free_roll = substeps, device, free_roll
         self.misfit: float | None = None
 

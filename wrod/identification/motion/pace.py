@@ -7,7 +7,7 @@ from wrod.errors import DataError
 from wrod.identification.effect import Model, effects
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.inverse import inverse_motion, rates_about
-from wrod.identification.motion.setup import MotionSetup
+from wrod.identification.motion.tension import base_setup
 
 # Recordings and frames of each that are looked at, and edges between neighbouring markers.
 _RECORDINGS, _FRAMES, _SUBDIVISIONS = 12, 8, 2
@@ -49,7 +49,7 @@ def pace(measurements: MotionMeasurements, *, device: str = "cpu") -> tuple[floa
     slow that its inertia is lost in the noise has a wide bound.
     """
     m = measurements
-    setup = MotionSetup.base(m.edge_length(_SUBDIVISIONS), _SUBDIVISIONS, m.gravity)
+    setup = base_setup(m, _SUBDIVISIONS)
     last = m.recording_count - 1
     chosen = np.unique(np.linspace(0, last, _RECORDINGS).round().astype(int))
     seen = inverse_motion(m, setup, chosen, max(1, m.frame_count // _FRAMES), device=device)

@@ -17,13 +17,20 @@ def sorted_grips(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions with each grip's inner marker inside, and the (R,) frames put right.
 
     A rod that is clamped by both markers cannot fold back inside its grip, so the marker that is
-    nearer to the first free one is the inner one.
+    nearer to the first free one in most frames is the inner one; from frame to frame each stays
+    nearer to itself than to the other. A free marker may swing past its grip meanwhile.
     """
     x = x.copy()
     wrong = np.zeros(x.shape[:2], dtype=bool)
     for outer, inner, free in ((0, 1, 2), (-1, -2, -3)):
         a, b = (np.linalg.norm(x[:, :, free] - x[:, :, m], axis=2) for m in (outer, inner))
-        swap = a < b
+        ends = x[:, :, [outer, inner]]
+        stays, changes = (
+            np.sum((ends[:, 1:] - before[:, :-1]) ** 2, axis=(2, 3))
+            for before in (ends, ends[:, :, ::-1])
+        )
+        turned = np.cumsum(np.pad(changes < stays, ((0, 0), (1, 0))), axis=1) % 2 == 1
+        swap = turned ^ (2 * np.sum(turned ^ (a < b), axis=1, keepdims=True) > x.shape[1])
         x[:, :, [outer, inner]] = np.where(
             swap[:, :, None, None], x[:, :, [inner, outer]], x[:, :, [outer, inner]]
         )

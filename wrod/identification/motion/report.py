@@ -19,22 +19,20 @@ from wrod.identification.motion.pace import check_pace
 from wrod.identification.motion.remembered import Remembered
 from wrod.identification.motion.residual import Residual, residual_of
 from wrod.identification.motion.selection import BASE, MotionSelection, select_motion, verdict_of
-from wrod.identification.motion.setup import START_L_GB, MotionSetup
+from wrod.identification.motion.setup import SLENDER, START_L_GB, MotionSetup
+from wrod.identification.motion.tension import base_setup
 from wrod.identification.motion.trace import MotionTrace, trace_motion
 from wrod.identification.motion.windows import Windows
 from wrod.identification.report import FoundEffect, Report
 from wrod.rods.device import resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-from wrod.rods.profile import Profile
 
 METRIC = (
     "mean |difference| over coordinates and all markers, held ones as zero, from frame 2 to the "
     "last of the test recordings [mm]"
 )
 _FORMAT = "wrod-motion-identification-1"
-# Radius over gravito-bending length of the USB cable of the paper's Table 2.
-_SLENDER = 0.0018 / 0.0801
 # Edges between neighbouring free markers of the mesh that the found rod is read off.
 _SUBDIVISIONS = 4
 
@@ -129,25 +127,21 @@ class MotionReport(Report):
 
     def _rod(self, model: Model, values: np.ndarray) -> FoundRod:
         m = self.measurements
-        radius = _SLENDER * self.base["stiffness"]["L_gb"].value
+        radius = SLENDER * self.base["stiffness"]["L_gb"].value
         like = RodModel.of(
             RodMaterial(radius, START_L_GB, float(m.marker_arc_length[-1]), gravity=m.gravity)
         )
         line_mass = like.line_mass.values[0]
-        stretches = "axial_stiffness" in model.names
 
         def read(setup: MotionSetup) -> RodModel:
             arc_length = np.concatenate([[0.0], np.cumsum(np.real(setup.rest_length))])
             whole = replace(like, length=float(arc_length[-1]))
-            rod = rod_of(setup, arc_length, like=whole, line_mass=line_mass)
-            if stretches:
-                return rod
-            return replace(
-                rod, stretching_stiffness=Profile((4.0 * rod.mean_bending_stiffness / radius**2,))
-            )
+            return rod_of(setup, arc_length, like=whole, line_mass=line_mass)
 
-        assumed = ("radius", "line_mass") + ("stretching_stiffness",) * (not stretches)
-        base = MotionSetup.base(m.edge_length(_SUBDIVISIONS), _SUBDIVISIONS, m.gravity)
+        assumed = ("radius", "line_mass")
+        if "axial_stiffness" not in model.names:
+            assumed += ("stretching_stiffness",)
+        base = base_setup(m, _SUBDIVISIONS)
         return found_rod(base, model, values, read, assumed)
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from wrod.identification.setup import RodSetup
 from wrod.rods.discretisation import cells, in_principal
 
-# What the base model starts from where nothing is known: the gravito-bending length, and the strain
-# of the rod under its own weight. Motion only tells ratios to the weight.
+# What the base model starts from where nothing is known. Motion only tells ratios to the weight.
 START_L_GB = 0.2
-_WEIGHT_STRAIN = 1e-3
+# Radius over gravito-bending length of the USB cable of the paper's Table 2.
+SLENDER = 0.0018 / 0.0801
 _POISSON = 0.5
 
 
@@ -25,7 +26,8 @@ class MotionSetup(RodSetup):
 
     Attributes:
         marker_node: (M,) node of each marker (int).
-        rest_length: (n,) [m].
+        mean_length: (n,) of the edges under their mean tension [m].
+        mean_tension: (2, n) by the load [m^2/s^2], and by each m^4/s^2 of bending stiffness.
         force: (n + 1, 3) other forces per mass, fixed in the laboratory [m/s^2].
         linear_drag: (n + 1,) force per mass and velocity [1/s].
         quadratic_drag: (n + 1,) force per mass and velocity squared [1/m].
@@ -39,7 +41,8 @@ class MotionSetup(RodSetup):
     """
 
     marker_node: np.ndarray
-    rest_length: np.ndarray
+    mean_length: np.ndarray
+    mean_tension: np.ndarray
     force: np.ndarray
     linear_drag: np.ndarray
     quadratic_drag: np.ndarray
@@ -49,14 +52,24 @@ class MotionSetup(RodSetup):
     roll: np.ndarray
     held_turn: np.ndarray
 
+    # A rod that is r times as stiff as another of its kind is thicker by the cube root of r.
+    stretching_power: ClassVar[float] = 1 / 3
+
     @classmethod
-    def base(cls, edge_length: np.ndarray, subdivisions: int, gravity: float) -> MotionSetup:
-        """A straight, uniform, isotropic rod without damping.
+    def base(
+        cls,
+        edge_length: np.ndarray,
+        subdivisions: int,
+        gravity: float,
+        tension: np.ndarray | None = None,
+    ) -> MotionSetup:
+        """A straight, uniform, isotropic rod without damping, as thick as a common cable.
 
         Args:
-            edge_length: (n,) rest length of every edge, one inside each grip [m].
+            edge_length: (n,) length of every edge, one inside each grip [m].
             subdivisions: edges between neighbouring free markers.
             gravity: [m/s^2], along -z.
+            tension: (2, n) as `mean_tension`; default: none.
         """
         length = np.asarray(edge_length, dtype=float)
         nodes = np.concatenate([[0.0], np.cumsum(length)])
@@ -67,11 +80,12 @@ class MotionSetup(RodSetup):
             (nodes - nodes[1]) / (nodes[-2] - nodes[1]),
             bending,
             bending / (1.0 + _POISSON),
-            gravity * length.sum() / _WEIGHT_STRAIN,
+            4.0 * bending / (SLENDER * START_L_GB) ** 2,
             1.0,
             gravity,
             marker_node=place,
-            rest_length=length,
+            mean_length=length,
+            mean_tension=np.zeros((2, len(length))) if tension is None else tension,
             force=np.zeros((n, 3)),
             linear_drag=np.zeros(n),
             quadratic_drag=np.zeros(n),
@@ -81,6 +95,13 @@ class MotionSetup(RodSetup):
             roll=np.zeros(2),
             held_turn=np.zeros((2, 2)),
         )
+
+    @property
+    def rest_length(self) -> np.ndarray:
+        """(n,) what the edges are long without their mean tension [m]."""
+        by_load, by_bending = self.mean_tension
+        tension = by_load + by_bending * self.bending.mean()
+        return self.mean_length / (1.0 + tension / self.stretching)
 
     @property
     def node_length(self) -> np.ndarray:

@@ -15,7 +15,7 @@ from wrod.identification.effect import Model
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.inverse import InverseMotion, inverse_motion
 from wrod.identification.motion.prints import find_prints
-from wrod.identification.motion.setup import MotionSetup
+from wrod.identification.motion.tension import base_setup
 
 # Time between two frames that are looked at, in all recordings and in the one that is shown [s].
 _SPACING, _SHOWN_SPACING = 0.2, 0.02
@@ -120,7 +120,7 @@ def trace_motion(
         shown: a recording to look at closely.
     """
     m = measurements
-    setup = MotionSetup.base(m.edge_length(_SUBDIVISIONS), _SUBDIVISIONS, m.gravity)
+    setup = base_setup(m, _SUBDIVISIONS)
     setup = base.setup(setup, values)
     seen = inverse_motion(m, setup, recordings, _every(_SPACING, m), device=device)
     if seen is None:

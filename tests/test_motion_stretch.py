@@ -1,0 +1,39 @@
+"""How long a rod is that was measured under tension, and how it stretches."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wrod.identification.motion.loading import motion_from_arrays
+from wrod.identification.motion.tension import base_setup
+from wrod.identification.template import motion_example
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+from wrod.rods.profile import Profile
+
+PIECES = 4
+
+
+def cable(gravito_bending_length, slenderness, softer=1.0, curvature=0.0) -> RodModel:
+    """One that stretches by so many times as much as a round one; radius over L_gb."""
+    radius = slenderness * gravito_bending_length
+    rod = RodModel.of(RodMaterial(radius, gravito_bending_length, length=0.36))
+    soft = Profile((rod.stretching_stiffness.values[0] / softer,))
+    bent = (Profile((curvature,)), Profile((0.0,)))
+    return replace(rod, stretching_stiffness=soft, natural_curvature=bent)
+
+
+@pytest.mark.parametrize("gravito_bending_length", [0.03, 0.05, 0.1])
+def test_measured_lengths_are_those_of_the_rod_and_what_its_tension_adds(gravito_bending_length):
+    """In motions by the dynamics: what 0.3 m between the grips are longer, to a twentieth."""
+    rod = cable(gravito_bending_length, 0.04, softer=20.0 * (gravito_bending_length / 0.05))
+    setup = base_setup(motion_from_arrays(motion_example(rod)), PIECES)
+    longer = setup.mean_length[1:-1].sum() - 0.3
+    setup.stretching = np.full(
+        len(setup.mean_length), rod.stretching_stiffness.values[0] / rod.line_mass.values[0]
+    )
+    setup.bending = setup.bending * (gravito_bending_length / 0.2) ** 3
+    assert 5e-4 < longer < 2e-2
+    assert setup.mean_length.sum() - setup.rest_length.sum() == pytest.approx(longer, rel=0.05)
+    np.testing.assert_array_equal(setup.mean_tension[:, [0, -1]], 0.0)
