@@ -148,17 +148,20 @@ def located(row: dict) -> tuple[float, float]:
 
 
 def held(row: dict) -> tuple[int, int]:
-    """(how many of the true values along the rod an 80 % interval holds, of how many that are told
+    """(how many of the true values an 80 % interval holds, of how many that are told, of profiles
     at the quarters of the rod), whatever the effect that tells them is called."""
     from wrod.identification.clamped.profiles import KNOTS
 
     told = {key: e for effect in row["effects"] for key, e in effect["parameters"].items()}
     inside = [
-        abs(told[keys[0]]["value"] - values[0]) <= _OF_80 * told[keys[0]]["stderr"]
+        abs(told[key]["value"] - value) <= _OF_80 * told[key]["stderr"]
         for own in row["truth"].values()
         for first in range(0, len(own), KNOTS)
-        for keys, values in own[first : first + KNOTS : (KNOTS - 1) // 4]
-        if keys[0] in told
+        for keys, values in own[
+            first : first + KNOTS : (KNOTS - 1) // 4 if len(own) >= KNOTS else 1
+        ]
+        for key, value in zip(keys, values, strict=True)
+        if key in told
     ]
     return sum(inside), len(inside)
 
@@ -228,11 +231,11 @@ def summary(rows: Sequence[dict]) -> list[str]:
             part = [r["outcome"] for r in own if r["noise"] == noise]
             said = ", ".join(f"{o} {part.count(o)}" for o in OUTCOMES if o in part)
             text.append(f"{'':21}     {len(part):3} of them with {noise}: {said}")
-        along = [held(r) for r in own if title == "a profile along the rod" and "truth" in r]
-        inside, of = np.sum(along, axis=0) if along else (0, 0)
+        counted = [held(r) for r in own if "truth" in r and r["set"] in {**BUILT, **PROFILES}]
+        inside, of = np.sum(counted, axis=0) if counted else (0, 0)
         if of:
             share = f"{100 * inside / of:.0f} %"
-            text.append(f"{'':21}     80 % intervals along the rod hold {inside} of {of}, {share}")
+            text.append(f"{'':21}     80 % intervals hold {inside} of {of} true values, {share}")
         if late := sum(r.get("out_of_time", False) for r in own):
             text.append(f"{'':21}     {late:3} of them ran out of time")
         told = [r["print_near"] for r in own if r.get("print_near") is not None]
