@@ -132,13 +132,16 @@ class Scene:
             builder.end_world()
         cfg = newton.ModelBuilder.ShapeConfig(mu=0.02 if curled else 0.25)
         tray = -1
-        if ground == "tray" and mass is None:
+        carried = ground in ("tray", "slab")
+        if carried and mass is None:
             tray = builder.add_link(is_kinematic=True)
-        elif ground == "tray":  # which others move by forces, so that rods press it gently
+        elif carried:  # which others move by forces, so that rods press it gently
             cfg.density = 0.0
             tray = builder.add_link(mass=mass, inertia=mass * 1e-3 * np.eye(3))
         if ground in ("solids", "tray"):
             self._add_solids(builder, tray, cfg)
+        elif ground == "slab":
+            builder.add_shape_plane(body=tray, width=0.0, length=0.0, cfg=cfg)
         elif ground:
             builder.add_ground_plane(cfg=cfg)
         model = self.model = builder.finalize(device=DEVICE, requires_grad=True)
@@ -172,7 +175,7 @@ class Scene:
         if ground:
             poses = 0.2 * n * [0.01, 0.005, 0.001, 0.0, 0.0, 0.2, 0.0] + [*[0.0] * 6, 1.0]
         poses = poses[:, None]
-        if ground == "tray":
+        if carried:
             turn = Rotation.from_rotvec(n * [2e-4, -1e-4, 0.01]).as_quat()
             ways = np.concatenate([n * [0.001, -0.0005, 5e-6], turn], axis=1)
             poses = np.concatenate([poses, ways[:, None]], axis=1)
@@ -313,7 +316,7 @@ def compare(scene, names, size=1e-4, **options):
         if name == "poses":
             way[: options.get("warm", 0)] = 0.0
             step *= 2.0**-6 if scene.kinked else 1.0
-            if scene.ground == "tray":  # on whose height the skin's force depends much
+            if scene.ground in ("tray", "slab"):  # on whose height the skin's force depends much
                 step *= 2.0**-3
                 way[..., 6] = 0.0
         elif name == "friction" and scene.ground in ("solids", "tray"):
@@ -441,7 +444,7 @@ def test_what_has_no_gradients_has_none():
 def test_what_has_no_gradients_is_refused():
     """By the step, when a tape is recorded; without one it is taken."""
     builder = make()
-    cable(builder, height=0.006)
+    cable(builder, height=0.006, natural_curvature=(2.0, 0.0))
     tray = builder.add_link(is_kinematic=True)
     builder.add_shape_plane(body=tray, width=0.0, length=0.0)
     with pytest.raises(RodError, match="touches something"):
@@ -482,13 +485,15 @@ SOLIDS = [1, 1, 1, 0, 1, 1]
         ("tray", [1] * 6, {"curled": True}),
         ("tray", SOLIDS, {"mass": 0.01}),
         ("tray", SOLIDS, {"mass": 1.0}),
+        ("slab", [1], {}),
+        ("slab", [1], {"mass": 1.0, "max_step": 0.003}),
     ],
 )
 def test_gradients_over_the_ground(ground, rubs, options):
     """Of cables that a hand drags over the ground, or over a box, a ball, a capsule, a cylinder, an
     ellipsoid and a mesh, where they slide and stick, by friction as well; and by the poses of a
-    tray that carries these along and turns them, also of one that rods must not press firmly. Those
-    that are bent at rest keep their roll."""
+    tray that carries these, or a plane without ends, along and turns them, also of one that rods
+    must not press firmly. Those that are bent at rest keep their roll."""
     names = [n for n in EVERY if n != "node_natural_curvature" or "curled" in options]
     scene = Scene(ground=ground, dt=0.005, **options)
     # Where edges roll an iteration more or less is seen, where heights matter the skin.

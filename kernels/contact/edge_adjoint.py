@@ -19,7 +19,7 @@ from wrod.kernels.contact.edges import (
 )
 from wrod.kernels.contact.planes import Touchable, coefficient, damped_force, return_mapping
 from wrod.kernels.contact.rolling import by_logarithms
-from wrod.kernels.contact.shapes import WITH_RODS, Borne, beside, shape_displacement
+from wrod.kernels.contact.shapes import WITH_RODS, Borne, Shape, beside, shape_displacement
 from wrod.kernels.elastic.assembly import add_vector
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node
 from wrod.kernels.linear.banded_lu import ALONE
@@ -62,8 +62,8 @@ class Held:
     solid, the arm of the point of contact about the solid's place, and how the solid was turned
     before (a rotation from now), smoothing over its length, unprojected stretch and motion of the
     point of contact, relaxation time and lag, depth and how it grew, normal force, its slope by
-    depth alone, what skin takes off it by the radius, coefficient, stiffness, pull of the bristle,
-    and how this follows the stretch (0 where it slides)."""
+    depth alone and with how that grows, what skin takes off it by the radius, coefficient,
+    stiffness, pull of the bristle, and how this follows the stretch (0 where it slides)."""
 
     near: Closest
     edge: wp.vec3d
@@ -81,6 +81,7 @@ class Held:
     closing: wp.float64
     force: wp.float64
     slope: wp.float64
+    whole: wp.float64
     by_skin: wp.float64
     coefficient: wp.float64
     stiffness: wp.float64
@@ -100,45 +101,54 @@ class Change:
 
 
 @wp.func
-def hold(m: Touchable, step: OneStep, c: EdgeTouch, r: int, k: int, i: int) -> Held:
-    """All that a touch is made of."""
-    out = Held()
-    near = c.near
-    n = near.normal
-    out.near = near
-    out.edge = c.edge
-    shape = m.shapes[r, k]
-    head = node(step.dof, r, i) - node(step.dof_before, r, i)
-    tail = node(step.dof, r, i + 1) - node(step.dof_before, r, i + 1)
-    point = node(step.dof, r, i) + near.s * c.edge
-    out.change = tail - head
+def finish_hold(
+    h: Held, shape: Shape, point: wp.vec3d, moved: wp.vec3d, bristle: wp.vec3d, time: wp.float64,
+    size: wp.vec2d,
+) -> Held:  # fmt: skip
+    """What follows of a touch at a point that has `moved` in a time; size is of radius and skin."""
+    out = h
     out.arm = point - shape.position
     out.back = wp.identity(3, dtype=wp.float64)
     if shape.moves != 0:
         out.back = wp.quat_to_matrix(shape.rotation_before * wp.quat_inverse(shape.rotation))
-        out.change = out.change + out.back * c.edge - c.edge
+    out.moved = moved - shape_displacement(shape, point)
+    out.stretch = bristle + out.moved
+    out.time = time
+    out.lag = h.relaxation / time
+    law = damped_force(h.depth, h.closing, h.relaxation, time, h.stiffness, size[1])
+    out.force = law[0]
+    out.whole = law[1]
+    out.slope = law[1] / (ONE + out.lag)
+    thin = h.depth + out.lag * wp.min(h.closing, h.depth) < size[1]
+    out.by_skin = wp.where(thin, -law[0], -HALF * h.stiffness * size[1]) / size[0]
+    held = return_mapping(h.bristle, h.near.normal, h.stiffness, h.coefficient * law[0])
+    out.pull = held.pull
+    out.slides = held.slides
+    return out
+
+
+@wp.func
+def hold(m: Touchable, step: OneStep, c: EdgeTouch, r: int, k: int, i: int) -> Held:
+    """All that a touch is made of."""
+    out = Held()
+    near = c.near
+    out.near = near
+    out.edge = c.edge
+    head = node(step.dof, r, i) - node(step.dof_before, r, i)
+    tail = node(step.dof, r, i + 1) - node(step.dof_before, r, i + 1)
     out.smoothing = c.smoothing
-    out.moved = (ONE - near.s) * head + near.s * tail - shape_displacement(shape, point)
-    out.stretch = step.edge_bristle[r, k, i] + out.moved
     out.bristle = c.bristle
-    out.time = step.span[r]
-    out.relaxation = edge_relaxation(m, c, out.time, r, k, i)
-    out.lag = out.relaxation / out.time
+    out.relaxation = edge_relaxation(m, c, step.span[r], r, k, i)
     out.depth = c.depth
     out.closing = c.closing
     out.stiffness = c.stiffness
-    skin = m.skin[r, i]
-    law = damped_force(c.depth, c.closing, out.relaxation, out.time, c.stiffness, skin)
-    out.force = law[0]
-    out.slope = law[1] / (ONE + out.lag)
-    out.by_skin = -HALF * c.stiffness * skin
-    if c.depth + out.lag * wp.min(c.closing, c.depth) < skin:
-        out.by_skin = -law[0]
-    out.by_skin = out.by_skin / m.radius[r, i]
     out.coefficient = coefficient(m, step.edge_sliding[r, k, i], r, k)
-    held = return_mapping(c.bristle, n, c.stiffness, out.coefficient * law[0])
-    out.pull = held.pull
-    out.slides = held.slides
+    moved = (ONE - near.s) * head + near.s * tail
+    size = wp.vec2d(m.radius[r, i], m.skin[r, i])
+    q = node(step.dof, r, i) + near.s * c.edge
+    b = step.edge_bristle[r, k, i]
+    out = finish_hold(out, m.shapes[r, k], q, moved, b, step.span[r], size)
+    out.change = tail - head + out.back * c.edge - c.edge
     return out
 
 

@@ -98,6 +98,7 @@ class Contact(OnDevice):
     keeps_roll: np.ndarray | bool = False
     passive: np.ndarray | None = None
     force: wp.array = field(init=False)
+    burdened: np.ndarray | bool = field(default=False, init=False)
     slip: wp.array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -273,14 +274,14 @@ class Contact(OnDevice):
 
     def bear(self, burden: np.ndarray) -> None:
         """Let shapes press: `burden` (rod, shape) is the weight that one edge bears sunk in by a
-        fortieth of the radius [force]; what has none bears the heaviest of them through a rod."""
+        fortieth of the radius [force]; what has none bears the heaviest by a `burdened` rod."""
         heaviest = burden.max(axis=1, keepdims=True)
         self._edges.bear(np.maximum(burden, np.where(burden > 0, 0, heaviest)))
         model = self._model
         given = model.stiffness.numpy()
         firm = np.maximum(given, 0.5 * heaviest / model.skin.numpy())
-        model.stiffness.assign(firm)
-        model.relaxation.assign(model.relaxation.numpy() * np.sqrt(given / firm))
+        self.burdened = firm > given
+        model.stiffness.assign(firm)  # who lies on what others press comes to rest no sooner
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces and stiffness at `dof` to the batch's gradient and Hessian."""

@@ -66,6 +66,8 @@ class ContactAdjoint:
         if stiffness_of_mass is None:
             stiffness_of_mass = np.zeros((rods, nodes))
         self._stiffness_share = numbers(stiffness_of_mass)
+        burdened = np.full((rods, nodes), self._planes is not None and self._planes.burdened)
+        self._burdened = wp.array(burdened, dtype=wp.int32, device=batch.device)
         if self._solids is not None:
             self._per_mass = numbers(stiffness_of_mass / self._planes.memory[0].stiffness.numpy())
 
@@ -145,7 +147,10 @@ class ContactAdjoint:
         outputs = [before, self.by_friction, properties.model, properties.spins]
         model = self._planes.memory[0]
         batch.launch(
-            plane_adjoint.want_friction, shape, [model, self._stiffness_share, *rods], outputs
+            plane_adjoint.want_friction,
+            shape,
+            [model, self._stiffness_share, self._burdened, *rods],
+            [*outputs, self.by_shape],
         )
         if self._rolls:
             batch.launch(rolling_adjoint.want_turned_nodes, shape, [model, step, x], [now, before])
