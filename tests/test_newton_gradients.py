@@ -218,6 +218,8 @@ class Scene:
             states = [model.state() for _ in range(self.states)]
         for name in STATE:
             getattr(states[0].der, name).assign(start[name])
+        for name in ("body_q", "body_qd") if self.on_body else ():
+            wp.copy(getattr(states[0], name), getattr(model, name))
         loss = wp.zeros(1, dtype=f64, device=DEVICE, requires_grad=True)
 
         def step(k):
@@ -328,6 +330,7 @@ def compare(scene, names, size=1e-4, **options):
         if scene.on_body and name in STATE:
             way[7:9] = 0.0
         little = ["edge_spin", "edge_stretching_stiffness"]  # which count little
+        little += ["node_natural_curvature"] if scene.crossed else []
         if name in little or (name == "rod_air_damping" and (scene.ground or scene.crossed)):
             way *= 300.0 if scene.crossed and name == "edge_spin" else 30.0
         elif name == "node_q" and scene.kinked:  # the skin in which contact begins is thin

@@ -138,7 +138,7 @@ class PairAdjoint:
             skyline_order.renumber,
             (batch.rod_count, team),
             [self._coupled, self._changed, self._pieces.kind, self._count, self._pair]
-            + [self._capacity, *self._scratch],
+            + [self._capacity, batch.node_count, *self._scratch],
             [self._rank, *self._profile, self._reach, self._overflow],
             device=batch.device,
             block_dim=team,
