@@ -116,6 +116,7 @@ def rod_contact(
     partner: wp.array3d(dtype=wp.int32),
     rubbing: Rubbing,
     velocity: wp.array2d(dtype=wp.float64),
+    slots: int,
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     # State out:
@@ -124,12 +125,13 @@ def rod_contact(
 ):
     """Subtract the forces of every touching pair from the residual, and note how deep it is.
 
-    `renewed` is 2 where a pair meets too fast where the step begins.
+    `renewed` is 2 where a pair meets too fast where the step begins. Launched over (rod, edge,
+    slot), as what follows: so many `slots` share an edge's partners.
     """
-    r, i = wp.tid()
+    r, i, slot = wp.tid()
     if active[r] == 0:
         return
-    for k in range(partner_count[r, i]):
+    for k in range(slot, partner_count[r, i], slots):
         j = partner[r, i, k]
         begins = rubbing.iteration[r] == 0
         c = pair_contact(m, rubbing, step[r], dof, dof_before, begins, r, i, j, k)
@@ -212,6 +214,7 @@ def renew_loads(
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
     depth: wp.array3d(dtype=wp.float64),
+    slots: int,
     # State in and out:
     rubbing: Rubbing,
     gradient: wp.array2d(dtype=wp.float64),
@@ -221,14 +224,14 @@ def renew_loads(
     """Where a rod is in balance or nearly so, take the loads anew that bound what slides and are
     out of date. A pair that meets in this step rubs from the next one on, and is told of where it
     came too far at once."""
-    r, i = wp.tid()
+    r, i, slot = wp.tid()
     renews = renewals[r] < wp.where(settles != 0, MOST_TO_SETTLE, MOST_RENEWALS)
     if converged[r] == 0:
         if not renews or active[r] == 0:
             return
         if residual[r] > NEARLY * tolerance[r]:
             return
-    for k in range(partner_count[r, i]):
+    for k in range(slot, partner_count[r, i], slots):
         j = partner[r, i, k]
         old = rubbing.load[r, i, k]
         if old == ZERO:
@@ -279,6 +282,7 @@ def settle_friction(
     dof_before: wp.array2d(dtype=wp.float64),
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
+    slots: int,
     # State in and out:
     rubbing: Rubbing,
     load: wp.array3d(dtype=wp.float64),
@@ -287,10 +291,10 @@ def settle_friction(
     penetration: wp.array(dtype=wp.float64),
 ):
     """After an accepted step: let overloaded bristles slide; note forces, slip and penetration."""
-    r, i = wp.tid()
+    r, i, slot = wp.tid()
     if accepted[r] == 0:
         return
-    for k in range(partner_count[r, i]):
+    for k in range(slot, partner_count[r, i], slots):
         j = partner[r, i, k]
         c = pair_contact(m, rubbing, step[r], dof, dof_before, False, r, i, j, k)
         rubbing.bristle[r, i, k] = wp.where(c.force > ZERO, ONE, ZERO) * c.bristle

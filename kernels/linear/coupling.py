@@ -278,16 +278,18 @@ def add_pairs(
     touching: wp.array2d(dtype=wp.vec3i),
     rank: wp.array2d(dtype=wp.int32),
     row: wp.array2d(dtype=wp.int32),
+    teams: int,
     # State in and out:
     block: wp.array2d(dtype=wp.mat44d),
 ):
-    """Add the matrices of all touching pairs of a rod. Launched over (rod, lane)."""
-    r, lane = wp.tid()
+    """Add the matrices of all touching pairs of a rod. Launched over (rod, team, lane)."""
+    r, team, lane = wp.tid()
     if coupled[r] == 0 or overflow[r] != 0:
         return
     # Sixteen lanes share a pair, where there are as many: one for each block of two edges.
     parts = wp.min(wp.block_dim(), 16)
-    for n in range(lane // parts, count[r], wp.block_dim() // parts):
+    width = wp.block_dim() // parts
+    for n in range(team * width + lane // parts, count[r], teams * width):
         pair = touching[r, n]
         m = pair_matrix(pieces, rubbing, step[r], dof, dof_before, r, pair)
         size = piece_size(pieces.kind[r, pair[0]])

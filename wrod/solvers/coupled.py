@@ -11,6 +11,8 @@ from wrod.solvers.rod_contact import RodContact
 # Up to this many nodes a rod's factor may fill; beyond, rows of so many blocks on average. A GPU
 # solves heaps otherwise (`wrod.solvers.condensed`).
 _DENSE_NODES, _BLOCKS_PER_ROW, _BLOCKS_ON_CPU = 200, 100, 400
+# Blocks of lanes that share a rod's pairs on a GPU, of which each has eight at a time.
+_TEAMS = 6
 
 
 class PairedSystem(BandedSystem):
@@ -186,11 +188,10 @@ class CoupledSystem(PairedSystem):
             device=batch.device,
             block_dim=lanes(batch.device, TEAM),
         )
-        self._together(
-            coupling.add_pairs,
-            [contact.pieces, *self._chosen, batch.free, *self._pairs, self._rank, self._row],
-            [self._block],
-        )
+        teams = _TEAMS if self._on_gpu else 1
+        pairs = [*self._pairs, self._rank, self._row, teams]
+        inputs = [contact.pieces, *self._chosen, batch.free, *pairs]
+        self._together(coupling.add_pairs, inputs, [self._block], teams)
 
     def _factorise_coupled(self, least_reach: int = 0) -> None:
         """On a GPU only of rods of which some column reaches so far."""

@@ -15,6 +15,7 @@ from wrod.kernels.contact import energies, pair_contact, touching
 from wrod.kernels.contact import pairs as contact_pairs
 from wrod.kernels.contact import rods as kernels
 from wrod.kernels.contact.segments import AT_END, AT_START, EDGE, SPLINE
+from wrod.kernels.lanes import lanes
 from wrod.rods.batch import RodBatch
 from wrod.rods.device import OnDevice
 from wrod.solvers.friction import Friction, contact_damping
@@ -29,7 +30,8 @@ _STIFFNESS = 10.0
 _SKIN = 0.05
 # What hardens does so from this depth on, over this way, both over the radius.
 _HARD_DEPTH, _HARD_SKIN = 0.015, 0.01
-
+# Threads of a GPU that share an edge's partners: in a knot it has several.
+_SLOTS = 8
 
 _IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
 
@@ -158,6 +160,7 @@ class RodContact(OnDevice):
         groups = -(-edges // int(contact_pairs.GROUP))
         self._lower, self._upper = zeros(wp.vec3d, groups), zeros(wp.vec3d, groups)
         self.partner_count = zeros(wp.int32, edges)
+        self._slots = (rods, edges, lanes(device, _SLOTS))
         self.partner, self._new_partner, self.sliding, self._new_sliding = (
             zeros(wp.int32, edges, partners) for _ in range(4)
         )
@@ -220,9 +223,9 @@ class RodContact(OnDevice):
         self.configuration = (dof, dof_before)
         self.batch.launch(
             kernels.rod_contact,
-            self.partner_count.shape,
+            self._slots,
             [self.pieces, self.reach, self.time_step, active, dof, dof_before]
-            + [self.partner_count, self.partner, self.rubbing, self.velocity],
+            + [self.partner_count, self.partner, self.rubbing, self.velocity, self._slots[2]],
             [self.batch.derivatives.gradient, self.depth, self._renewed],
         )
 
@@ -239,11 +242,11 @@ class RodContact(OnDevice):
         whose friction belongs to loads that are not there any more."""
         self.batch.launch(
             kernels.renew_loads,
-            self.partner_count.shape,
+            self._slots,
             [self.pieces, self.reach, int(self.settles_loads)]
             + [self.time_step, converged, active, *self.balance]
             + [self._renewals, dof, dof_before, self.velocity]
-            + [self.partner_count, self.partner, self.depth],
+            + [self.partner_count, self.partner, self.depth, self._slots[2]],
             [self.rubbing, self.batch.derivatives.gradient, self._renewed],
         )
         self.batch.launch_lanes(
@@ -293,9 +296,9 @@ class RodContact(OnDevice):
         )
         self.batch.launch(
             kernels.settle_friction,
-            self.partner_count.shape,
+            self._slots,
             [self.pieces, self.time_step, accepted, dof, dof_before]
-            + [self.partner_count, self.partner],
+            + [self.partner_count, self.partner, self._slots[2]],
             [self.rubbing, self.load, self.slip, self.force, self.penetration],
         )
 
