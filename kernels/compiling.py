@@ -12,10 +12,13 @@ from types import ModuleType
 
 import warp as wp
 
+# Names of threads that stay and launch nothing.
+COMPILERS = "wrod-compilers"
+
 
 @cache
 def _compilers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count() or 1)
+    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=COMPILERS)
 
 
 @cache

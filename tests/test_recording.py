@@ -1,5 +1,8 @@
 """Recorded rounds of launches do what fresh ones do."""
 
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+
 import numpy as np
 import pytest
 import warp as wp
@@ -9,6 +12,7 @@ from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.rods.state import RodState
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.recording import launching, workers
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
@@ -100,3 +104,45 @@ def test_equilibria_of_a_rod_that_changes():
         kept.append(before != [] and before[0] is next(iter(solver._recorded.values())))
     assert kept == [False, True, True, False, True, False]
     assert all(np.abs(np.diff(found, axis=0)).max(axis=(1, 2, 3)) > 1e-6)
+
+
+def test_nothing_is_recorded_beside_a_thread_that_may_launch():
+    """What a caller's thread launches of its own, outside the library's calls, is done at once, and
+    is no part of what another thread replays."""
+    ran, ends = Event(), Event()
+
+    def launch_on():
+        sums = []
+        while not ends.is_set():
+            sums.append(float(wp.full(3, 2.0, dtype=wp.float64, device="cpu").numpy().sum()))
+            ran.set()
+        return sums
+
+    def fall():
+        dynamics = crossing_rods("cpu", keeps_recording=True)
+        dynamics.advance(0.05, 0.004)
+        return dynamics.batch.positions(), dynamics.is_recorded
+
+    expected, recorded = fall()
+    with ThreadPoolExecutor(1) as pool:
+        sums = pool.submit(launch_on)
+        ran.wait()
+        found, beside = fall()
+        ends.set()
+    assert set(sums.result()) == {6.0}
+    assert np.array_equal(found, expected) and recorded and not beside
+
+
+def test_threads_of_the_library_record_beside_each_other():
+    def fall(_):
+        with launching():
+            dynamics = crossing_rods("cpu", keeps_recording=True)
+        for k in range(6):
+            dynamics.advance(0.01 * (k + 1), 0.004)
+        with launching():
+            return dynamics.batch.positions(), dynamics.is_recorded
+
+    expected = fall(0)
+    with workers(2) as pool:
+        found = list(pool.map(fall, range(2)))
+    assert all(np.array_equal(one, expected[0]) and recorded for one, recorded in found)

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from threading import Event
 
@@ -45,13 +44,15 @@ def expecting(
             _put(trajectory, lambda: lay(watch))
         yield lambda: False
         return
+    from wrod.solvers.recording import workers
+
     unwanted = Event()
 
     def look(times) -> None:
         if unwanted.is_set():
             raise _NotWantedError
 
-    with ThreadPoolExecutor(1) as thread:
+    with workers(1) as thread:
         laid = thread.submit(lay, look)
 
         def wait() -> bool:

@@ -2,13 +2,12 @@
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 from threading import Event
 from typing import Any
 
 from wrod.machine import usable_cores
-from wrod.solvers.recording import aside
+from wrod.solvers import recording
 
 # Rods stepped at once on a CPU: more would leave its caches.
 _CPU_CHUNK = 16
@@ -48,7 +47,7 @@ def shared_out(
             raise _NotWantedError
 
     if workers > 1 and len(parts) > 1:
-        with aside(), ThreadPoolExecutor(workers) as pool:
+        with recording.workers(workers) as pool:
             try:
                 done = list(pool.map(lambda part: run(part, still_wanted), parts))
             finally:

@@ -13,7 +13,7 @@ from wrod.rods.batch import RodBatch
 from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.inertia import rounding_of, usual_force
-from wrod.solvers.recording import is_only_thread, launching, record, replay
+from wrod.solvers.recording import launching, record, replay
 
 # Largest change of an edge in one Newton step, as a fraction of its length.
 _STEP_LIMIT = 0.5
@@ -205,26 +205,21 @@ class EquilibriumSolver:
             self._correct(search)
             self._look(max_iterations)
 
-        key = (max_iterations, search)
+        key, device = (max_iterations, search), wp.get_device(self.batch.device)
         graph = self._recorded.get(key)
         self._look(max_iterations)
-        if graph is None and self._may_record and self._goes_on.numpy()[0]:
+        if graph is None and device.is_cpu and self._goes_on.numpy()[0]:
             take_round()
             if self._goes_on.numpy()[0]:
                 graph = record(
                     self.batch.device, lambda: wp.capture_while(self._goes_on, take_round)
                 )
-                self._recorded[key] = graph
+                self._recorded[key] = graph  # none beside threads that may launch
         if graph is None:
             wp.capture_while(self._goes_on, take_round)
         else:
             replay(graph)
         return self.iterations.numpy().astype(np.int64)
-
-    @property
-    def _may_record(self) -> bool:
-        """A recording on a CPU takes what other threads launch, too."""
-        return wp.get_device(self.batch.device).is_cpu and is_only_thread()
 
     def _look(self, max_iterations: int) -> None:
         """Where every active rod is, and whether any has to go on."""
