@@ -10,6 +10,7 @@ from wrod.kernels.grasping import holding
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import Derivatives
 from wrod.solvers.banded import BorderedSystem
+from wrod.solvers.recording import record, replay
 from wrod.solvers.stability import smallest_eigenvalue
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
@@ -115,6 +116,7 @@ class HeldRods:
         self.progress, self.progress_saved = floats(), floats(-1.0)
         self.increment, self.residual = floats(), floats(np.inf)
         self.waited, self.iterations, self.active, self.status = (ints() for _ in range(4))
+        self._round: wp.Graph | None = None
 
     def __len__(self) -> int:
         return self.batch.rod_count
@@ -137,7 +139,7 @@ class HeldRods:
             (n,) bool: in equilibrium at `position`. A rod that did not arrive is in equilibrium
             at the last place on the way that it could be followed to, or where it started.
         """
-        batch, out, system, device = self.batch, self.batch.derivatives, self.system, self.device
+        batch = self.batch
         chosen = np.ones(len(self), dtype=bool) if chosen is None else chosen
         self.start.assign(self.grip_position())
         self.target.assign(np.ascontiguousarray(position, dtype=np.float64))
@@ -152,40 +154,51 @@ class HeldRods:
         status[chosen] = 0
         self.status.assign(status)
         for iteration in range(_MAX_ITERATIONS):
-            batch.evaluate(order=2, active=self.active)
-            self._condense(out)
-            wp.launch(
-                holding.walk_grip,
-                dim=batch.rod_count,
-                inputs=[
-                    self.start,
-                    self.target,
-                    self.tolerance,
-                    wp.float64(_STEP_LIMIT),
-                    _PATIENCE,
-                    batch.free,
-                    out.gradient,
-                    system.x,
-                    batch.state.dof,
-                    self.progress,
-                    self.dof_saved,
-                    self.progress_saved,
-                    self.increment,
-                    self.waited,
-                    self.iterations,
-                    self.active,
-                    self.status,
-                    self.residual,
-                ],
-                device=device,
-            )
-            batch.transport_frames(batch.state, batch.state, self.active)
+            # The first round has compiled the kernels.
+            if self._round is None and iteration > 0 and wp.get_device(self.device).is_cpu:
+                self._round = record(self.device, self._walk)
+            if self._round is None:
+                self._walk()
+            else:
+                replay(self._round)
             # Asking the device costs a synchronisation; a few spare iterations cost less.
             if iteration % 3 == 2 and not self.active.numpy().any():
                 break
         arrived = (self.status.numpy() == grasping.CONVERGED) & chosen
         self._stand_still(chosen & ~arrived)
         return arrived
+
+    def _walk(self) -> None:
+        """An iteration of every active rod, and its next step on the way."""
+        batch, out = self.batch, self.batch.derivatives
+        batch.evaluate(order=2, active=self.active)
+        self._condense(out)
+        wp.launch(
+            holding.walk_grip,
+            dim=batch.rod_count,
+            inputs=[
+                self.start,
+                self.target,
+                self.tolerance,
+                wp.float64(_STEP_LIMIT),
+                _PATIENCE,
+                batch.free,
+                out.gradient,
+                self.system.x,
+                batch.state.dof,
+                self.progress,
+                self.dof_saved,
+                self.progress_saved,
+                self.increment,
+                self.waited,
+                self.iterations,
+                self.active,
+                self.status,
+                self.residual,
+            ],
+            device=self.device,
+        )
+        batch.transport_frames(batch.state, batch.state, self.active)
 
     def settle(self, position: np.ndarray) -> np.ndarray:
         """Move the grips to (n, 3) `position` at once and let every rod fall to a minimum of its
