@@ -19,6 +19,11 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+def pytest_unconfigure():
+    """Nor is it looked through when the process ends."""
+    gc.freeze()
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of published data that stands beside the repository; tests skip without it."""

@@ -6,6 +6,7 @@ Calls are forked from a process that has imported what commands need and done no
 
 import atexit
 import contextlib
+import gc
 import importlib
 import os
 import pickle
@@ -134,7 +135,8 @@ def serve() -> None:
 
 
 def preload() -> None:
-    """What the commands import, once for all calls."""
+    """What the commands import, once for all calls, and is left out of searches for garbage."""
+    gc.disable()
     import click
     import warp
 
@@ -155,6 +157,8 @@ def preload() -> None:
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
     warp.init()
+    gc.freeze()
+    gc.enable()
 
 
 def _forked(function: Callable, arguments: tuple, folder: Path, limited: bool) -> End:
