@@ -9,6 +9,7 @@ from cli import refused
 
 import wrod
 from wrod.controller.corrector import Corrector, CorrectorInputs
+from wrod.deployment.simulate import nodes_needed
 from wrod.errors import DataError, OutOfRangeWarning
 
 plans = pytest.importorskip("wrod.training.plans")
@@ -113,14 +114,24 @@ def test_what_a_network_lays_is_kept_once_a_round(tmp_path, monkeypatch):
     assert found[0].anchors[2] == pytest.approx(0.5 * made[0].anchors[1], abs=1e-6)
 
 
+def test_meshes_of_plans_do_not_depend_on_their_batch():
+    """All that two plans ask for says how many nodes its rods have, and they share a batch."""
+    from wrod.deployment.together import _groups
+
+    asked = dict(enumerate(next(plans.solve(index, 1)) for index in range(2)))
+    needed = [nodes_needed(one.trials, one.how["discretisation"].spacing) for one in asked.values()]
+    counts = {one.how["discretisation"].node_count for one in asked.values()}
+    assert len(set(needed)) == 2 and len(counts) == 1 and min(counts) >= max(needed)
+    assert len(_groups(asked)) == 1
+
+
 def test_models_of_the_error_say_what_a_network_lays(monkeypatch):
     """By a grip that is 0.1 mm ahead or behind all the way, more of which the rod answers to with
     sliding; where it is not, what lies is what lay."""
     from wrod.deployment import descent
     from wrod.deployment.together import follow
 
-    tight = replace(descent.COARSE, tolerance=1e-5)
-    monkeypatch.setattr(descent, "COARSE", tight)
+    monkeypatch.setattr(descent, "_TOLERANCE", 1e-5)
     (one,) = follow([plans.solve(0, 0)], hold=0.05)
     assert one.errors[1] < 0.5 * one.errors[0]
     values = {}

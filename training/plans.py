@@ -15,7 +15,7 @@ from wrod.training.plan_files import Bowl, Sample, claim, read, store
 
 from wrod.controller.corrector import Corrector, CorrectorInputs
 from wrod.deployment.corrections import Corrections
-from wrod.deployment.descent import Task, sample_of
+from wrod.deployment.descent import Problem, Task
 from wrod.deployment.distilled import asked
 from wrod.deployment.expectation import misplacement
 from wrod.deployment.optimise import course
@@ -147,8 +147,8 @@ def _asked(task: Task) -> CorrectorInputs:
 
 def _bowl(task: Task, corrections: Corrections, values: np.ndarray) -> Course[Bowl]:
     """Of what `optimise` lays."""
-    spread = Spread.of(task.friction)
-    laid = yield sample_of(task, corrections, spread, values.ravel(), _SAMPLES)
+    problem = Problem(task, corrections, Spread.of(task.friction), _SAMPLES, alone=False)
+    laid = yield from problem.laid(values.ravel())
     parts = [misplacement(task.pattern, one) for one in laid]
     scale = 1.0 / (len(parts) * METRIC_POINTS * corrections.lgb**2)
     return Bowl(

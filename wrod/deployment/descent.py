@@ -51,8 +51,9 @@ _LONGER, _KEPT_PROMISE, _SHORT = 2.0, 0.5, 0.5
 _STEPS, _MORE, _SAVED, _NEAR = 2, 6, 0.2, 0.06
 # Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
 _TOLERANCE = 5e-3
-# Numbers of nodes are multiples of this, so that a GPU lays many plans in few batches.
-_ALIKE = 16
+# Numbers of nodes are multiples of this, so that a GPU lays many plans in few batches; and those of
+# plans that are made by the thousand are at least that, which nearly all can do with.
+_ALIKE, _TOGETHER = 16, 112
 # An iteration that leaves more than this part of the error is the last, and one that would by its
 # model, of squares, is not tried.
 _DONE = 0.95
@@ -151,9 +152,9 @@ class Tried:
 class Problem:
     """The squared errors of a sample of rods, and what corrections cost, near some corrections.
 
-    With `alone` its meshes are its own, and a plan does not depend on which others are made with
-    it, and what is far begins anew bend by bend, which takes ten times as long; without, more plans
-    fit into a batch.
+    Meshes are its own: a plan does not depend on which others are made with it. With `alone` they
+    are as large as it needs, and what is far begins anew bend by bend, which takes ten times as
+    long; without, more plans fit into a batch.
     """
 
     def __init__(
@@ -166,11 +167,18 @@ class Problem:
 
     def at(self, values: np.ndarray, end: float = np.inf) -> Course[State]:
         """What corrections come to on coarse meshes, of the pattern up to `end` [m]."""
-        asked = self._sample(values, end)
-        mesh = asked.how["discretisation"]
-        laid = yield self._meshed(asked.trials, asked.directions, mesh)
+        laid = yield from self.laid(values, end)
         self.count += 1
         return self._state(values, laid, end)
+
+    def laid(self, values: np.ndarray, end: float = np.inf) -> Course[list[Laid]]:
+        """What the sample lays by corrections, with its derivatives by each of their values
+        (3 count,) [L_gb]."""
+        trials = self._sample(values, end)
+        columns = self.corrections.columns()[:, : len(trials[0].trajectory)]
+        directions = [Directions.of_path(columns)] * self.samples
+        mesh = edged(COARSE, COARSE_EDGE * self.corrections.lgb)
+        return (yield self._meshed(trials, directions, mesh))
 
     def _state(self, values: np.ndarray, laid: list[Laid], end: float) -> State:
         task, corrections = self.task, self.corrections
@@ -209,7 +217,7 @@ class Problem:
         laid together, which costs a GPU no more than one of them."""
         task, corrections = self.task, self.corrections
         unseen = Unseen.of(task.pattern, task.rod, self.spread)
-        each = [self._sample(x).trials + unseen.laid_by(corrections.apply(x)) for x in points]
+        each = [self._sample(x) + unseen.laid_by(corrections.apply(x)) for x in points]
         mesh = edged(JUDGING, JUDGING_EDGE * corrections.lgb)
         laid = yield self._meshed([trial for one in each for trial in one], None, mesh)
         out = []
@@ -226,38 +234,21 @@ class Problem:
         return out
 
     def _meshed(self, trials: list[Trial], directions, mesh: Discretisation) -> Asked:
-        mesh = replace(mesh, tolerance=_TOLERANCE)
-        if self.alone:
-            count = -(-nodes_needed(trials, mesh.spacing) // _ALIKE) * _ALIKE
-            mesh = replace(mesh, node_count=count)
+        needed = max(nodes_needed(trials, mesh.spacing), 0 if self.alone else _TOGETHER)
+        count = -(-needed // _ALIKE) * _ALIKE
+        mesh = replace(mesh, tolerance=_TOLERANCE, node_count=count)
         return Asked(trials, directions, {"discretisation": mesh, "speed": self.task.pace})
 
-    def _sample(self, values: np.ndarray, end: float = np.inf) -> Asked:
-        end += _BEYOND * self.corrections.lgb
-        return sample_of(self.task, self.corrections, self.spread, values, self.samples, end)
-
-
-def sample_of(
-    task: Task,
-    corrections: Corrections,
-    spread: Spread,
-    values: np.ndarray,
-    samples: int,
-    end: float = np.inf,
-) -> Asked:
-    """The rods that cover a spread, laid on coarse meshes by a corrected path, up to `end` of the
-    pattern [m], with their derivatives by each of the corrections' values (3 count,) [L_gb]."""
-    now = corrections.apply(values)
-    now = Way(now).until(end + now.remainder_length).path
-    rest = Tail.none(now)  # nothing is asked of what comes after the pattern
-    trials = [
-        Trial(task.pattern, held, now, law, told, rest)
-        for held, law, told in spread.sample(samples, task.rod)
-    ]
-    mesh = edged(COARSE, COARSE_EDGE * task.rod.gravito_bending_length)
-    how = {"discretisation": mesh, "speed": PACE}
-    columns = corrections.columns()[:, : len(now)]
-    return Asked(trials, [Directions.of_path(columns)] * samples, how)
+    def _sample(self, values: np.ndarray, end: float = np.inf) -> list[Trial]:
+        """The rods that cover the spread, by a corrected path, up to `end` of the pattern [m]."""
+        now, task = self.corrections.apply(values), self.task
+        end += _BEYOND * self.corrections.lgb + now.remainder_length
+        now = Way(now).until(end).path
+        rest = Tail.none(now)  # nothing is asked of what comes after the pattern
+        return [
+            Trial(task.pattern, held, now, law, told, rest)
+            for held, law, told in self.spread.sample(self.samples, task.rod)
+        ]
 
 
 def descend(problem: Problem, ahead: bool) -> Course[tuple[list[State], list[np.ndarray]]]:

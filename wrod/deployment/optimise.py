@@ -149,7 +149,7 @@ def optimise_each(
 ) -> list[Trajectory]:
     """`optimise` of several plans: a GPU works on all at once, in little more time than on one.
 
-    Rods that are laid in one batch have one number of nodes, the largest that any of them needs.
+    No plan depends on which others are made with it.
     """
     courses = [course(task, samples=samples, hold=hold, judge=judge) for task in tasks]
     return follow(courses, hold=hold, device=device, progress=progress)
