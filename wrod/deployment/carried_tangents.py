@@ -114,7 +114,7 @@ class Tangents:
         packs = -(-self.early_count // self.size)
         taken = []
         for one in self._carried:
-            values = np.moveaxis(one.numpy()[:, :packs], -1, 2)
+            values = np.moveaxis(one.numpy()[:, :packs].copy(), -1, 2)
             taken.append(values.reshape(len(values), -1, values.shape[3])[:, : self.early_count])
         return taken
 
