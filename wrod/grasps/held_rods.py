@@ -55,12 +55,36 @@ class RodsOverTable(RodBatch):
         return out
 
 
+def held_batch(
+    stretch_ratio: np.ndarray, rest: np.ndarray, shape: np.ndarray, device: str
+) -> RodsOverTable:
+    """Straight isotropic rods (n, node, 3), clamped along x at the contact by ghosts, pinned at the
+    grip. Of the contact's cell half bends, which clamps to second order."""
+    behind = np.zeros((len(rest), 1, 3))
+    behind[:, 0, 0] = -rest[:, 0]
+    stiffness = np.ones(shape.shape[1] + 1)
+    stiffness[1] = 2.0
+    batch = RodsOverTable(
+        np.concatenate([behind, shape], axis=1),
+        rest_length=np.concatenate([rest[:, :1], rest], axis=1),
+        stretching_stiffness=np.broadcast_to(stretch_ratio, len(rest))[:, None],
+        bending_stiffness=stiffness,
+        # Without twist in the rod any positive value will do; it counts for stability.
+        twisting_stiffness=stiffness * (2.0 / 3.0),
+        node_mass=np.pad(node_weights(rest), ((0, 0), (1, 0))),
+        gravity=(0.0, 0.0, -1.0),
+        director=(0.0, 0.0, 1.0),
+        device=device,
+    )
+    prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,), pinned_nodes=(-1,))
+    return batch
+
+
 class HeldRods:
     """n suspended rods whose grips can be led about; allocates once, then launches.
 
-    The contact is at the origin and the tangent there is x; a ghost edge before the contact and
-    twice the stiffness at the contact, of whose length only half bends, clamp it to second order.
-    The grip holds a position and leaves the orientation free. Curvature at the contact is a result.
+    The contact is at the origin and the tangent there is x, clamped as `held_batch` does it. The
+    grip holds a position and leaves the orientation free. Curvature at the contact is a result.
 
     Args:
         suspended_length, stretch_ratio: (n,) inputs.
@@ -82,23 +106,7 @@ class HeldRods:
         edges = rest_lengths(self.length, nodes - 1)
         self.arc_length = np.concatenate([np.zeros((n, 1)), np.cumsum(edges, axis=1)], axis=1)
         self.weights = node_weights(edges)
-        ghost = np.zeros((n, 1, 3))
-        ghost[:, 0, 0] = -edges[:, 0]
-        stiffness = np.ones(nodes + 1)
-        stiffness[1] = 2.0
-        self.batch = batch = RodsOverTable(
-            np.concatenate([ghost, shape], axis=1),
-            rest_length=np.concatenate([edges[:, :1], edges], axis=1),
-            stretching_stiffness=np.asarray(stretch_ratio, dtype=np.float64)[:, None],
-            bending_stiffness=stiffness,
-            # Any positive value: a held rod carries no twist. It counts for stability.
-            twisting_stiffness=stiffness * (2.0 / 3.0),
-            node_mass=np.pad(self.weights, ((0, 0), (1, 0))),
-            gravity=(0.0, 0.0, -1.0),
-            director=(0.0, 0.0, 1.0),
-            device=device,
-        )
-        prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,), pinned_nodes=(-1,))
+        self.batch = batch = held_batch(stretch_ratio, edges, shape, device)
         self.system = BorderedSystem(batch, (-3, -2, -1))  # the grip
 
         def floats(value=0.0):

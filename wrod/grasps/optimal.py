@@ -16,10 +16,10 @@ from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.device_results import at_once, empty_results, result_bytes
 from wrod.grasps.general import RodArrays, curved_rods, solve_general
+from wrod.grasps.held_rods import held_batch
 from wrod.grasps.inputs import GraspArrays, GraspOptions, closure_number
 from wrod.grasps.levels import Ladder, compile_kernels
 from wrod.grasps.results import LIMITS, SENSITIVITIES, Grasps
-from wrod.grasps.solver import held_batch
 from wrod.kernels.grasping.reading import Results
 from wrod.solvers.recording import launching
 from wrod.solvers.stability import smallest_eigenvalue

@@ -9,11 +9,9 @@ import numpy as np
 import warp as wp
 
 from wrod.grasps.levels import MeshLevel, WorkList, make_scratch, put
-from wrod.grasps.mesh import WEIGHT, node_weights
+from wrod.grasps.mesh import WEIGHT
 from wrod.grasps.results import Grasps
 from wrod.kernels.grasping.closures import CONVERGED
-from wrod.rods.batch import RodBatch
-from wrod.solvers.statics import prescribe
 
 
 class GraspSolver:
@@ -114,28 +112,3 @@ class GraspSolver:
     def thrust(self) -> np.ndarray:
         """(n,) F_x at the contact."""
         return self.level.thrust.numpy().copy()
-
-
-def held_batch(
-    stretch_ratio: np.ndarray, rest: np.ndarray, shape: np.ndarray, device: str
-) -> RodBatch:
-    """Straight isotropic rods (n, node, 3), clamped along x at the contact by ghosts, pinned at the
-    grip. Of the contact's cell half bends."""
-    behind = np.zeros((len(rest), 1, 3))
-    behind[:, 0, 0] = -rest[:, 0]
-    stiffness = np.ones(shape.shape[1] + 1)
-    stiffness[1] = 2.0
-    batch = RodBatch(
-        np.concatenate([behind, shape], axis=1),
-        rest_length=np.concatenate([rest[:, :1], rest], axis=1),
-        stretching_stiffness=np.broadcast_to(stretch_ratio, len(rest))[:, None],
-        bending_stiffness=stiffness,
-        # Without twist in the rod any positive value will do; it counts for stability.
-        twisting_stiffness=stiffness * (2.0 / 3.0),
-        node_mass=np.pad(node_weights(rest), ((0, 0), (1, 0))),
-        gravity=(0.0, 0.0, -1.0),
-        director=(0.0, 0.0, 1.0),
-        device=device,
-    )
-    prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,), pinned_nodes=(-1,))
-    return batch
