@@ -255,20 +255,16 @@ def grouped(rows: Sequence[dict], keys: Sequence[str]) -> dict[tuple, list[dict]
     return groups
 
 
-def mean_of(group: Sequence[dict], *names: str):
-    """Means of figures, numbers or lists, over the trials of a cell that did not diverge."""
-    good = [row for row in group if not row["diverged"]]
-    return tuple(np.mean([r[name] for r in good], axis=0) if good else np.nan for name in names)
-
-
 def cell_of(group: Sequence[dict]) -> Cell:
     """What the trials of a cell come to."""
-    held, deviation, released, later = map(
-        float,
-        mean_of(group, "error_mean", "error_std", "released_error_mean", "released_error_std"),
-    )
-    diverged = sum(row["diverged"] for row in group)
-    return Cell((held, deviation), (released, later), len(group), diverged)
+    good = [row for row in group if not row["diverged"]]
+
+    def mean(name: str) -> float:
+        return float(np.mean([row[name] for row in good])) if good else np.nan
+
+    held = mean("error_mean"), mean("error_std")
+    released = mean("released_error_mean"), mean("released_error_std")
+    return Cell(held, released, len(group), len(group) - len(good))
 
 
 def diverged(table: Mapping[Any, Cell]) -> str:
