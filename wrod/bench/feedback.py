@@ -12,6 +12,7 @@ import numpy as np
 
 from wrod import cost
 from wrod.bench.table3_paper import patterns_option
+from wrod.machine import machine_line
 from wrod.telling import json_option, tell
 
 # Row by row, what the true rod differs by though nobody declared it.
@@ -115,7 +116,12 @@ def command(
     rows = ledger.of(keys)
     table = summary(rows)
     tell(
-        {"rows": rows, "table": table, "written": [str(ledger.path)]},
+        {
+            "machine": machine_line(device),
+            "rows": rows,
+            "table": table,
+            "written": [str(ledger.path)],
+        },
         f"friction {how['friction']:g} believed; e_mean [cm] of each trial, and in brackets their "
         "mean over that of the same trials without an effect; the last column is of all "
         "trials that are there with and without",

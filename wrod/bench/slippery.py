@@ -18,6 +18,7 @@ from wrod.bench.slippery_report import KEYS, draw, means, summary, told, write_c
 from wrod.errors import RodError
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
+from wrod.machine import machine_line
 from wrod.options import gathered
 from wrod.telling import json_option, tell
 
@@ -148,8 +149,8 @@ def command(
     written.append(draw(out / "slippery.png", rows, shelf.course, METHODS))
     table = summary(rows)
     groups = means(table, shelf.bends)
-    figures = {"cells": table, "means": groups, "written": [str(path) for path in written]}
-    tell(figures, *told(table, groups))
+    figures = {"machine": machine_line(device), "cells": table, "means": groups}
+    tell(figures | {"written": [str(path) for path in written]}, *told(table, groups))
 
 
 def _effort(shelf: Shelf, keys: list[tuple]) -> float:
