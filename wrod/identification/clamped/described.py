@@ -14,8 +14,6 @@ from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_an
 
 # Width of the soft edges of a stretch [m]: what markers centimetres apart cannot tell from sharp.
 _EDGE = 4e-3
-# What they add to the variance of where a stretch is, of length^2 / 12 with sharp ones [m^2].
-EDGE_VARIANCE = (np.pi * _EDGE) ** 2 / 3.0
 
 
 def _window(setup, start, stop):
