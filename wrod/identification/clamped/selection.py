@@ -27,7 +27,7 @@ from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.moment_law import MomentLaw, moment_law_of
 from wrod.identification.clamped.noise import estimate
-from wrod.identification.clamped.profiles import built_effects
+from wrod.identification.clamped.profiles import ProfileEffect, built_effects
 from wrod.identification.clamped.refinement import profile_of, refined
 from wrod.identification.clamped.scatter import only_scatter
 from wrod.identification.clamped.steps import (
@@ -348,11 +348,24 @@ def _too_little(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit) -> 
 def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[Round], held_out):
     """(model, held-out error): the best profile alone, where it does better than what was found."""
     alone = [f for f in rounds[0].fits if has_profile(f.model)] if rounds else []
-    if not alone or alone[0].bic > current.bic - BIC_MARGIN:
+    built = any(isinstance(e, Described) for e in current.model.effects)
+    if not alone or (_evident(alone[0]) if built else alone[0].bic) > current.bic - BIC_MARGIN:
         return current, held_out
-    step, ahead = _judged(laboratory, empty, current, alone[0], alone, held_out)
+    less = empty if built else current
+    step, ahead = _judged(laboratory, empty, less, alone[0], alone, held_out)
     rounds.append(step)
     return (alone[0], ahead) if step.accepted else (current, held_out)
+
+
+def _evident(fit: Fit) -> float:
+    """As the criterion of a fit, of a profile alone: its components have a prior, and cost what
+    their evidence says (Laplace). What was built from the same residual has no better claim."""
+    effect = fit.model.effects[0]
+    assert isinstance(effect, ProfileEffect)
+    first = len(fit.values) - effect.basis.shape[2]
+    known = np.linalg.inv(fit.covariance)[first:, first:]
+    cost = fit.values[first:] @ fit.values[first:] + np.linalg.slogdet(known)[1]
+    return fit.chi_squared + first * np.log(fit.effective_count) + float(cost)
 
 
 def _polished(laboratory: Laboratory, fit: Fit) -> Fit:

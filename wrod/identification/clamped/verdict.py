@@ -100,7 +100,7 @@ def judge(
     unseen = unseen_gain(laboratory, fit, empty)
     proven = bool(fit.model.effects) and is_proven(unseen)
     told, left = (fit, after) if proven else (empty, before)
-    scatter, at_noise = None, left <= at_noise_of(laboratory)
+    scatter, at_noise = None, left <= at_noise_of(laboratory) * _expected_of(laboratory, told)
     if not at_noise:
         scatter = only_scatter(laboratory, told.model, told.values, m.test)
     if proven:
@@ -198,6 +198,18 @@ def at_noise_of(laboratory: Laboratory) -> float:
     m = laboratory.measurements
     count = laboratory.effective[m.test].sum()
     return max(AT_NOISE, 1.0 + 2.5 / np.sqrt(2.0 * count))
+
+
+def _expected_of(laboratory: Laboratory, fit: Fit) -> float:
+    """Times the noise that a true model leaves on test trials: its numbers are estimates, and those
+    of a profile are many."""
+    if not len(fit.values):
+        return 1.0
+    m, markers = laboratory.measurements, laboratory.measurements.centerline[0].size
+    rates = laboratory.jacobian(fit.model, fit.values)[1][m.test, :markers]
+    variance = np.einsum("trp,pq,trq->tr", rates, fit.covariance, rates)
+    read = laboratory.read[m.test, :markers]
+    return float(np.sqrt(1.0 + variance[read].mean() / m.noise**2))
 
 
 def unseen_gain(laboratory: Laboratory, fit: Fit, less: Fit) -> tuple[float, float]:
