@@ -51,11 +51,10 @@ class Loop:
         "Correct new plans for that friction, as `wrod plan --friction` does (a minute or two)."
     )
     rolling: bool = option("Let the laid rod roll freely.")
-    roll_text: str = option(
+    roll_text: str | None = option(
         "How all plans hold the rod: plane, as one would by accident who knows of no curvature, "
-        "up, tilted, or degrees (see `wrod plan`).",
+        "up, tilted, or degrees; default: as `wrod plan` would.",
         "--roll",
-        default="plane",
     )
     speed: float = option("Speed of the contact [m/s].", default=0.03)
     step: float = option("Largest time step [s].", default=0.02)
@@ -85,8 +84,8 @@ class Loop:
             f"Simulated deployments of {what}, e_mean ± sigma [cm] (N = 50); friction "
             f"{self.friction:g}{', which new plans know' if self.known_table else ''}"
             f"{', rolling freely' if self.rolling else ''}, roll "
-            f"{self.roll_text}, contact speed {self.speed:g} m/s, step {self.step:g} s, edges "
-            f"{self.spacing:g} m, {curves}."
+            f"{self.roll_text or 'by default'}, contact speed {self.speed:g} m/s, step "
+            f"{self.step:g} s, edges {self.spacing:g} m, {curves}."
         )
 
     @contextmanager

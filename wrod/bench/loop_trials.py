@@ -29,7 +29,7 @@ class Case:
     report: Any
     model: RodModel | RodMaterial
     network: Any
-    roll: float | str
+    roll: float | str | None
 
 
 def own_bend(cable: RodModel | RodMaterial):

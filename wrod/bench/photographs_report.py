@@ -221,6 +221,9 @@ def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) 
                 axis.set_xlim(low[0], high[0])
                 axis.set_ylim(low[1], high[1])
                 axis.tick_params(labelsize=6)
+                # A narrow panel has no room for many numbers.
+                for side, share in zip("xy", (high - low) / (high - low).max(), strict=True):
+                    axis.locator_params(axis=side, nbins=max(1, int(6 * share)))
             above.plot(*place.curve.T, color="tab:blue", lw=1.2)
             above.plot(*p.points.T, ".", color="tab:red", ms=1.5)
             above.set_title(f"{p.pattern_name}: {1e3 * place.mean:.1f} mm", fontsize=8)

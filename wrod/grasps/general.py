@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from wrod.grasps.device_results import at_once, empty_results, result_bytes
+from wrod.grasps.growth import growth
 from wrod.grasps.inputs import GraspOptions
 from wrod.grasps.levels import Ladder, MeshLevel, make_scratch, make_task, per_rod, put
 from wrod.grasps.mesh import ghost, node_weights, tolerance, two_sided_rest_lengths
@@ -253,6 +254,15 @@ class _GeneralLevel:
 
     def eigenvalue(self) -> np.ndarray:
         """(n,) smallest eigenvalues of the rods as they are held."""
+        batch = self._held()
+        prescribe(batch, clamped_nodes=(0, 1, -1), clamped_angles=(0, -1))
+        return smallest_eigenvalue(batch)
+
+    def growth(self) -> np.ndarray:
+        """(n,) of small departures of what is laid; see `growth.growth`."""
+        return growth(self._held())
+
+    def _held(self) -> RodBatch:
         rods, state = self.rods, self.state.contiguous().numpy()
         shape, director = state[:, :, :3], state[:, :-1, 3:6]
         rest = rods["rest_length"]
@@ -289,8 +299,7 @@ class _GeneralLevel:
         twist = np.zeros((len(rest), batch.node_count))
         twist[:, 2:-1] = state[:, 1:-1, 6]
         batch.state.reference_twist.assign(twist)
-        prescribe(batch, clamped_nodes=(0, 1, -1), clamped_angles=(0, -1))
-        return smallest_eigenvalue(batch)
+        return batch
 
 
 def _solve_chunk(
@@ -332,4 +341,5 @@ def _solve_chunk(
     result["twist"] = twist + share * (twist - coarse.twist.numpy())
     if options.eigenvalues:
         result["eigenvalue"] = fine.eigenvalue()
+        result["growth"] = fine.growth()
     return result

@@ -57,7 +57,8 @@ _ONE, _THREE, _NINE = rows(), rows(3), rows(3, 3)
     GraspError,
     position=_THREE, rotation=_THREE, force=_THREE,
     **dict.fromkeys(
-        ("converged", "stable", "iterations", "residual", "twist", "eigenvalue", "natural_share"),
+        ("converged", "stable", "iterations", "residual", "twist", "eigenvalue", "growth",
+         "natural_share"),
         optional(_ONE),
     ),
     shape=optional(rows(None, 3)), arc_length=optional(rows(None)),
@@ -79,6 +80,9 @@ class Grasps:
         stable: (n,) the held grasp is stable (no negative eigenvalue of the constrained Hessian).
         eigenvalue: (n,) how far the held grasp is from instability: the smallest eigenvalue of that
             Hessian, the stiffness per length of its softest motion [k_b/L_gb^4]; or None.
+        growth: (n,) rate at which small departures of what is laid grow with its length, negative
+            where they die out (`wrod.grasps.growth`) [1/L_gb]; None for naturally straight rods,
+            which lay themselves straight again.
         iterations: (n,) Newton iterations, all meshes together.
         residual: (n,) largest unbalanced force on the finest mesh [k_b/L_gb^2].
         force_jacobian: (n, 3, 3) derivative of `force` by the grip position: the contact clamped,
@@ -105,6 +109,7 @@ class Grasps:
     arc_length: np.ndarray | None = None
     twist: np.ndarray | None = None
     eigenvalue: np.ndarray | None = None
+    growth: np.ndarray | None = None
     position_sensitivity: np.ndarray | None = None
     rotation_sensitivity: np.ndarray | None = None
     force_sensitivity: np.ndarray | None = None

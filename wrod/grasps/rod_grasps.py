@@ -26,7 +26,7 @@ from wrod.solvers.recording import launching
     GraspError,
     **dict.fromkeys(
         ("arc_length", "curvature", "twist", "converged", "stable", "iterations", "residual",
-         "eigenvalue"),
+         "eigenvalue", "growth"),
         rows(),
     ),
     **dict.fromkeys(("position", "rotation", "force"), rows(3)),
@@ -52,6 +52,8 @@ class RodGrasps:
         converged, stable, iterations: see `Grasps`.
         residual: (n,) largest unbalanced force [N].
         eigenvalue: (n,) smallest eigenvalue of the held rod's Hessian, per length [N/m^2].
+        growth: (n,) rate at which small departures of what is laid grow with its length, negative
+            where they die out; see `wrod.grasps.growth` [1/m].
         length_unit, force_unit: in which the solver works: L_gb [m] and k_b / L_gb^2 [N] of the
             uniform rod of mean properties.
     """
@@ -70,6 +72,7 @@ class RodGrasps:
     iterations: np.ndarray
     residual: np.ndarray
     eigenvalue: np.ndarray
+    growth: np.ndarray
     length_unit: float
     force_unit: float
 
@@ -200,6 +203,7 @@ def _in_si(grasps: Grasps, contact, curvature, lgb: float, force: float) -> RodG
         iterations=grasps.iterations,
         residual=force * grasps.residual,
         eigenvalue=force / lgb**2 * grasps.eigenvalue,
+        growth=grasps.growth / lgb,
         length_unit=lgb,
         force_unit=force,
     )

@@ -6,23 +6,25 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import GraspError, RodError
+from wrod.grasps.rod_grasps import solve_rod_grasps
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
 WORDS = ("plane", "tilted", "up")
-# In the plane a rod that is bent by more than this at rest [1/L_gb] is laid in waves that grow;
-# raised by so much [rad] it is not (docs/loop.md).
-_STRONGLY, TILT = 0.2, float(np.radians(30.0))
+# In the plane a rod that is strongly bent at rest is laid in waves that grow; raised by so much
+# [rad] it is not (docs/loop.md). They may grow by so many e-folds, summed over so many contacts.
+TILT = float(np.radians(30.0))
+_FOLDS, _CONTACTS = 1.0, 8
 
 
 def roll_angle(
     roll: float | str | None, pattern: Pattern, rod: RodModel | RodMaterial, known: bool = False
 ) -> float:
-    """The roll [rad] that `plan`'s words mean, None being "tilted" for rods that are strongly bent
-    at rest and "plane" for others. A rod that is straight at rest gets the softer of its principal
-    directions upwards, or 0 where it has none.
+    """The roll [rad] that `plan`'s words mean, None being "tilted" for rods whose departures grow
+    when they are laid in the plane, and "plane" for others. A rod that is straight at rest gets the
+    softer of its principal directions upwards, or 0 where it has none.
 
     Args:
         known: whether a controller is to be asked, which was made for rods in the plane.
@@ -41,13 +43,24 @@ def roll_angle(
     left = -float(np.arctan2(upwards, across))
     if roll == "up":
         return left + 0.5 * np.pi
-    bent = float(np.hypot(across, upwards)) * rod.gravito_bending_length
-    raised = roll == "tilted" or (roll is None and bent > _STRONGLY and not known)
+    raised = roll == "tilted" or (roll is None and not known and _waves(pattern, rod, left))
     tilt = TILT if raised else 0.0
     s = np.linspace(-pattern.remainder_length, pattern.length, 1000)
     turning = float(np.mean(pattern.sample(s)[2])) * (s[-1] - s[0])
     # A pattern that turns by nothing but rounding has no side.
     return left + np.pi - tilt if turning < -1e-3 else left + tilt
+
+
+def _waves(pattern: Pattern, rod: RodModel | RodMaterial, roll: float) -> bool:
+    """Whether small departures grow by more than `_FOLDS` e-folds on a straight stretch as long as
+    the pattern, or nobody can say."""
+    laid = np.linspace(0.0, pattern.remainder_length + pattern.length, _CONTACTS)
+    try:
+        grasps = solve_rod_grasps(rod, laid, 0.0, held_roll=roll, device="cpu", edge_count=40)
+    except GraspError:
+        return True
+    grows = np.where(grasps.converged, np.maximum(grasps.growth, 0.0), np.inf)
+    return not np.trapezoid(grows, laid) <= _FOLDS
 
 
 def read_roll(text: str | None, rod) -> float | str | None:
