@@ -173,6 +173,7 @@ def _trained(loop: Loop, model, folder: Path, roll):
         return None
     from wrod.training.finish import controller_for
 
+    roll = "plane" if roll is None else roll
     with loop.timed("training"), loop.bar("train") as bar:
         made = controller_for(
             model, folder, roll=roll, grasps=loop.grasps, steps=loop.steps, seed=loop.seed,

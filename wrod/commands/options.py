@@ -18,7 +18,7 @@ DEVICE = click.option("--device", default="auto", show_default=True, help="cpu, 
 ROLL = (
     "How a naturally curved rod is held: plane (curved in the table's plane), up (curved upwards), "
     "tilted (30 degrees up from the plane), or the roll of its first director from left to up "
-    "[degrees]. Default: plane; plans tilt what bends by more than 0.2 / L_gb."
+    "[degrees]. Default: plane; plans tilt what would be laid in waves there."
 )
 # Of `PatternOptions`.
 UNITS, DRAWING, SCALE = ("units",), ("layer", "stroke"), ("markers", "sheet", "scale", "camera")
