@@ -78,8 +78,7 @@ def plan(
         roll: how the rod is put into the grip: the laid rod's first material director is turned
             by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
             into the table's plane to the side to which the pattern turns in all, or upwards; None
-            is "plane", or where departures would grow there "tilted", 30 degrees up from it
-            (docs/loop.md).
+            is "plane", or where waves would grow "tilted", 30 degrees up from it (docs/loop.md).
         spin: by how much the hand turns besides about a rod without sides, which twists it [rad].
             With `friction`, grasps know the twist as far as the table is expected to hold it.
         controller: what "neural" and "auto" ask; None is the one that ships, for straight rods.
