@@ -223,7 +223,7 @@ def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) 
                 axis.tick_params(labelsize=6)
                 # A narrow panel has no room for many numbers.
                 for side, share in zip("xy", (high - low) / (high - low).max(), strict=True):
-                    axis.locator_params(axis=side, nbins=max(1, int(6 * share)))
+                    axis.locator_params(axis=side, nbins=max(1, int(6 * share)), min_n_ticks=1)
             above.plot(*place.curve.T, color="tab:blue", lw=1.2)
             above.plot(*p.points.T, ".", color="tab:red", ms=1.5)
             above.set_title(f"{p.pattern_name}: {1e3 * place.mean:.1f} mm", fontsize=8)
