@@ -279,6 +279,22 @@ def test_no_step_is_made_by_derivatives_that_ran_away(bend):
     np.testing.assert_array_equal(ended.value.value.position, trajectory.position)
 
 
+def test_a_grip_that_no_rod_reaches_counts_as_diverged(bend):
+    pattern, trajectory = bend
+    lgb = ROD.gravito_bending_length
+    corrections = Corrections(pattern, trajectory, lgb, 0.05)
+    spread = Spread.of(0.3)
+    problem = descent.Problem(Task(pattern, ROD, trajectory, 0.3), corrections, spread, 1, True)
+    s = np.linspace(0.0, pattern.length, 60)
+    place = np.pad(pattern.sample(s)[0][:, :2], ((0, 0), (0, 1)))
+    rates = np.zeros((3 * corrections.count, 60, 3))
+    laid = [Laid(s, place, rates, np.zeros(60), False, 1)]
+    values = np.zeros((corrections.count, 3))
+    assert np.isfinite(problem._state(values.ravel(), laid, np.inf).measure)
+    values[-1] = 2.0 * ROD.length / lgb  # to the side of where the pattern ends
+    assert problem._state(values.ravel(), laid, np.inf).measure == np.inf
+
+
 def _descended(share: float, lgb: float, ahead: bool = True, floor: float = 0.0):
     class Far:
         """Three numbers that had better be 2; of what that promises a share comes true, and a floor

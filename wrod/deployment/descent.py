@@ -31,7 +31,7 @@ from wrod.deployment.way import Way
 from wrod.errors import PatternError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
-from wrod.planning.trajectory import Trajectory
+from wrod.planning.trajectory import Trajectory, out_of_reach
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
@@ -188,7 +188,9 @@ class Problem:
         errors = np.array(
             [np.average(np.hypot(*e.reshape(2, -1)), weights=counts) for e, _ in parts]
         )
-        errors[[one.diverged for one in laid]] = np.inf
+        # What no rod can follow may lie well all the same, and is refused when it is to be laid.
+        far = bool(out_of_reach(corrections.apply(values)).any())
+        errors[[one.diverged or far for one in laid]] = np.inf
         matrix, slope = self.cost.copy(), self.cost @ values
         value = 0.5 * float(values @ slope)
         measure = 0.5 * float(errors.mean() + errors.max())
@@ -230,7 +232,8 @@ class Problem:
             if task.limits is not None:
                 excess, _ = task.limits.excess(corrections.displacement(x))
                 measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
-            out.append(Tried(x, float(np.mean(errors)), (told["diverged"], measure), told))
+            lost = told["diverged"] + int(out_of_reach(corrections.apply(x)).sum())
+            out.append(Tried(x, float(np.mean(errors)), (lost, measure), told))
         return out
 
     def _meshed(self, trials: list[Trial], directions, mesh: Discretisation) -> Asked:

@@ -190,18 +190,24 @@ class Trajectory:
         return loaded
 
 
-def _refuse_out_of_reach(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
-    """Refuse a grip where no rod that hangs from it can touch down."""
+def out_of_reach(trajectory: Trajectory) -> np.ndarray:
+    """(T,) whether no rod that hangs from the grip can touch down at a pose."""
     way = trajectory.position - trajectory.contact
     wrong, rod = way[:, 2] < -_BELOW, trajectory.rod
     if rod is not None:
         hangs = rod.length - trajectory.arc_length
         wrong |= np.linalg.norm(way, axis=1) > _STRETCHED * hangs + _BELOW
+    return wrong
+
+
+def _refuse_out_of_reach(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
+    wrong = out_of_reach(trajectory)
     if wrong.any():
         k = int(np.argmax(wrong))
+        way = trajectory.position[k] - trajectory.contact[k]
         raise DataError(
-            f"{path}: position: contact node {k}: the grip is {np.linalg.norm(way[k]):.3g} m from "
-            f"the contact and {way[k, 2]:.3g} m above the table, where no such rod hangs; plan it "
+            f"{path}: position: contact node {k}: the grip is {np.linalg.norm(way):.3g} m from "
+            f"the contact and {way[2]:.3g} m above the table, where no such rod hangs; plan it "
             "again"
         )
 
