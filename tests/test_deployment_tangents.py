@@ -59,7 +59,7 @@ def check_tangents(pattern, rod, trajectory, friction, scheme):
     assert (laid.slip.max() > 2e-3) == (friction.static < 0.2)
     until = np.searchsorted(laid.arc_length, trajectory.arc_length[-1])
     # So small that no node changes between sticking and sliding on the way.
-    size = 1e-7
+    size = 2e-7
     trials, moves = [], []
     for column in range(len(directions)):
         scale = 100.0 if directions.natural_curvature[column] else 1.0
