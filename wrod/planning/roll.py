@@ -6,7 +6,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import GraspError, RodError
-from wrod.grasps.rod_grasps import solve_rod_grasps
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
@@ -54,6 +53,8 @@ def roll_angle(
 def _waves(pattern: Pattern, rod: RodModel | RodMaterial, roll: float) -> bool:
     """Whether small departures grow by more than `_FOLDS` e-folds on a straight stretch as long as
     the pattern, or nobody can say."""
+    from wrod.grasps.rod_grasps import solve_rod_grasps  # Warp: plans by a network need none
+
     laid = np.linspace(0.0, pattern.remainder_length + pattern.length, _CONTACTS)
     try:
         grasps = solve_rod_grasps(rod, laid, 0.0, held_roll=roll, device="cpu", edge_count=40)
