@@ -23,6 +23,18 @@ def checked_fields(error: type[WrodError], **checks: Check) -> Callable[[T], T]:
     return decorate
 
 
+def brief(kind: T) -> T:
+    """Decorator of a dataclass: shown in a line or few, with only the ends of long arrays."""
+    whole = kind.__repr__
+
+    def shown_briefly(record: Any) -> str:
+        with np.printoptions(threshold=6, edgeitems=1, precision=5):
+            return " ".join(whole(record).split())
+
+    kind.__repr__ = shown_briefly  # type: ignore[assignment]
+    return kind
+
+
 def frozen(array: np.ndarray) -> np.ndarray:
     """The array, or a copy that nobody else holds, which refuses to be changed."""
     if array.base is not None or array.flags.writeable:

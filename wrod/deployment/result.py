@@ -11,13 +11,14 @@ import numpy as np
 
 from wrod.files import check_arrays, read_fields, suffixed, write_npz
 from wrod.patterns.pattern import Pattern
-from wrod.records import freeze
+from wrod.records import brief, freeze
 
 # Points of the accuracy metric (Eq. metric, N = 50).
 METRIC_POINTS = 50
 _FORMAT = "wrod-deployment-1"
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Deployment:
     """A simulated deployment. SI units; heights are those of the pattern's plane, in which the

@@ -6,7 +6,7 @@ import numpy as np
 
 from wrod.arguments import Check, optional
 from wrod.errors import GraspError
-from wrod.records import checked_fields
+from wrod.records import brief, checked_fields
 
 # Inputs that are solved; beyond them grasps do not exist, or have never been checked.
 LIMITS = {
@@ -64,6 +64,7 @@ _ONE, _THREE, _NINE = rows(), rows(3), rows(3, 3)
     shape=optional(rows(None, 3)), arc_length=optional(rows(None)),
     **dict.fromkeys(("force_jacobian", *SENSITIVITIES), optional(_NINE)),
 )  # fmt: skip
+@brief
 @dataclass(frozen=True, eq=False)
 class Grasps:
     """Optimal grasps, one per input (float64 NumPy, or tensors or Warp arrays

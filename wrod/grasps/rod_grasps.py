@@ -15,7 +15,7 @@ from wrod.grasps.inputs import GraspOptions, check_inputs, closure_number
 from wrod.grasps.mesh import WEIGHT, two_sided_rest_lengths
 from wrod.grasps.optimal import EDGE_COUNT
 from wrod.grasps.results import Grasps, rows, same_rows
-from wrod.records import checked_fields
+from wrod.records import brief, checked_fields
 from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import Rod, mesh_arrays, models_of
 from wrod.rods.model import RodModel
@@ -33,6 +33,7 @@ from wrod.solvers.recording import launching
     force_jacobian=rows(3, 3), shape=rows(None, 3), node_arc_length=rows(None),
     length_unit=arguments.number(above=0.0), force_unit=arguments.number(above=0.0),
 )  # fmt: skip
+@brief
 @dataclass(frozen=True, eq=False)
 class RodGrasps:
     """Optimal grasps of one rod, one per contact; SI units, contact frame (x along the pattern, z

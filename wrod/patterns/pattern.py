@@ -249,6 +249,9 @@ class Pattern:
             )
         return cls(*heading_of_curve(curve, 0.0, 1.0), name=name)
 
+    def __repr__(self) -> str:
+        return f"<Pattern {self.name!r}, {self.length:.4g} m>"
+
     @property
     def length(self) -> float:
         """Length of the pattern itself, without a remainder [m]."""
@@ -313,10 +316,8 @@ class Pattern:
         Raises:
             PatternError: the length is not positive, or there is a remainder already.
         """
-        if self.remainder_length > 0.0:
-            raise PatternError(
-                f"{self.source}: has a remainder of {self.remainder_length:g} m already"
-            )
+        if (own := self.remainder_length) > 0.0:
+            raise PatternError(f"{self.source}: has a remainder of {own:g} m already")
         if arguments.number(above=0.0, high=1e3)(length) is not None:
             raise PatternError(
                 f"remainder length is {arguments.shown(length)}; give a positive number of metres"
@@ -326,8 +327,7 @@ class Pattern:
     def _redrawn(self, heading: PPoly, **changed) -> Pattern:
         """The pattern with another heading, and with what else is `changed`."""
         kept: dict[str, Any] = {"origin": self._origin, "height": self._height}
-        kept |= {"name": self.name, "source": self.source}
-        kept |= {"points": self.points, "noise": self.noise}
+        kept |= {name: getattr(self, name) for name in ("name", "source", "points", "noise")}
         return Pattern(heading, **kept | changed)
 
     def departure(self) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from wrod.files import (
     write_csv,
     write_npz,
 )
-from wrod.records import freeze, plain
+from wrod.records import brief, freeze, plain
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.model_file import rod_of_json
@@ -39,6 +39,7 @@ _JUMP, _NO_JUMP, _USUAL, _FEWEST = 10.0, 0.05, 1.0, 6
 _BELOW, _STRETCHED = 0.01, 1.05
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """Grip poses of a deployment, one per contact node. SI units, z up.

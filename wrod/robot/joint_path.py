@@ -19,7 +19,7 @@ from wrod.files import (
     write_csv,
     write_npz,
 )
-from wrod.records import freeze, plain
+from wrod.records import brief, freeze, plain
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
@@ -29,6 +29,7 @@ _FORMAT = "wrod-joint-path-1"
 _ARRAYS = ("time", "positions", "velocities", "arc_length", "node_time", "node_positions")
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class JointPath:
     """Joint positions over time at a fixed rate, in the order of the manufacturer's interface.

@@ -88,6 +88,14 @@ class Profile:
             raise RodError(f"Profile.sampled: function is of no use ({reason})") from None
         return cls(values, knots)
 
+    def __repr__(self) -> str:
+        if self.is_constant:
+            return f"Profile({self.values[0]:g})"
+        return (
+            f"Profile({len(self.values)} values from {self.smallest:g} to {max(self.values):g} "
+            f"over {self.knots[0]:g} to {self.knots[-1]:g} m)"
+        )
+
     @cached_property
     def _arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Knots, values, and the integral from the first knot to each."""

@@ -10,11 +10,13 @@ from scipy.optimize import brentq
 
 from wrod import arguments
 from wrod.errors import RodError
+from wrod.records import brief
 
 # Damping ratio of contacts without restitution: 1 / (4 zeta^2) of the speed is left.
 _MOST_DAMPING = 5.0
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class FrictionField:
     """How much friction there is at a place of the table, over the coefficients of `Friction`.
