@@ -25,7 +25,7 @@ def checked_fields(error: type[WrodError], **checks: Check) -> Callable[[T], T]:
 
 def brief(kind: T) -> T:
     """Decorator of a dataclass: shown in a line or few, with only the ends of long arrays."""
-    whole = kind.__repr__
+    whole = vars(kind)["__repr__"]
 
     def shown_briefly(record: Any) -> str:
         with np.printoptions(threshold=6, edgeitems=1, precision=5):
