@@ -146,7 +146,7 @@ def plans():
     """Of the curved rod: as it is, and as it was believed, held the same way."""
     pattern = quarter_turn()
     new = wrod.plan(pattern, CURVED, "numeric", roll="plane", device="cpu")
-    old = wrod.plan(pattern, ROD, "numeric", roll=new.metadata["roll"], device="cpu")
+    old = wrod.plan(pattern, ROD, "numeric", roll=new.roll, device="cpu")
     return pattern, new, old
 
 

@@ -45,8 +45,8 @@ def test_phases_follow_each_other_from_rest_to_rest(job):
     for name in ("grasp", "release"):
         still = job.positions[part(job, name)]
         assert len(still) == 100 * GRASP_TIME + 1 and np.ptp(still, axis=0).max() < 1e-15
-    np.testing.assert_allclose(job.positions[0], job.metadata["neutral"], atol=1e-12)
-    np.testing.assert_allclose(job.positions[-1], job.metadata["neutral"], atol=1e-12)
+    np.testing.assert_allclose(job.positions[0], job.neutral, atol=1e-12)
+    np.testing.assert_allclose(job.positions[-1], job.neutral, atol=1e-12)
     assert (np.diff(job.arc_length) >= -1e-12).all()
     assert np.ptp(job.arc_length[part(job, "approach")]) == 0.0
 
@@ -133,7 +133,7 @@ def test_tail_is_laid_straight_on_as_simulated_deployments_lay_it(job, line):
 
 
 def test_stand_holds_the_rod_below_the_hand_and_out_of_its_way(job, line):
-    (foot, top, thick), (joint, held, _) = job.metadata["stand"]
+    (foot, top, thick), (joint, held, _) = job.stand
     assert foot[:2] == top[:2] and foot[2] == 0.0 and joint == top
     steps = np.linalg.norm(np.diff(line.shape[0], axis=0), axis=1)
     along = np.append(0.0, np.cumsum(steps))
@@ -142,7 +142,7 @@ def test_stand_holds_the_rod_below_the_hand_and_out_of_its_way(job, line):
     share = np.linspace(0.0, 1.0, 200)[:, None]
     post = KDTree(np.array(foot) + share * (np.array(top) - foot))
     base, rng = job.placement.world_from_base, np.random.default_rng(1)
-    assert job.metadata["stand_stays"]
+    assert job.stand_stays
     poses = job.robot.link_poses(job.positions[::20])
     for shape in job.robot.shapes("collision"):
         if shape.kind == "cylinder":
@@ -159,13 +159,13 @@ def test_stand_holds_the_rod_below_the_hand_and_out_of_its_way(job, line):
 def test_a_stand_where_the_rod_comes_does_not_stay(job, line):
     far = np.full((1, 1, 3), 5.0)
     away = far, far + [0.0, 0.0, 0.1], np.array([0.01])
-    (foot, top, thick), (_, held, thin) = job.metadata["stand"]
+    (foot, top, thick), (_, held, thin) = job.stand
     assert stays([[foot, top, thick], [top, held, thin]], away, line, 0.0016)
     at = line.contact[100] * [1.0, 1.0, 0.0]
     moved = [at, at + [0.0, 0.0, 0.2], thick], [at + [0.0, 0.0, 0.2], np.array(held), thin]
     assert not stays(list(moved), away, line, 0.0016)
     beside = np.array([[top]]) + 0.012  # an arm that comes by
-    assert not stays(job.metadata["stand"], (beside, beside, np.array([0.005])), line, 0.0016)
+    assert not stays(job.stand, (beside, beside, np.array([0.005])), line, 0.0016)
 
 
 def test_an_arm_that_cannot_lay_the_tail_lets_go_of_it(line, monkeypatch):

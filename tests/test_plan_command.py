@@ -184,7 +184,7 @@ def test_default_plan_has_shapes_to_draw_unless_told_not_to(tmp_path):
     result = run(*options, "--out", tmp_path / "a")
     assert "the rod solver's grips differ by" in result.output
     trajectory = Trajectory.load(tmp_path / "a" / "trajectory.npz")
-    assert trajectory.metadata["method"] == "auto" and trajectory.shape.shape[0] == 6
+    assert trajectory.method == "auto" and trajectory.shape.shape[0] == 6
     assert trajectory.metadata["shapes"]["largest_grip_difference"] < 1e-5
     run(*options, "--out", tmp_path / "b", "--no-shapes")
     assert Trajectory.load(tmp_path / "b" / "trajectory.npz").shape is None

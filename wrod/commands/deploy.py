@@ -55,7 +55,7 @@ def command(
         ]
     figures = {
         "pattern": curve.name,
-        "method": path.metadata.get("method"),
+        "method": path.method,
         "friction": {
             "static": laying.friction,
             "kinetic": laying.kinetic or laying.friction,
@@ -84,7 +84,7 @@ def _write(out: Path, laying: Laying, deployments: list, path, curve, rod, fixtu
     """Write the deployments, their picture, and the page of one."""
     from wrod.deployment.picture import draw_deployments
 
-    title = f"{curve.name} · {path.metadata.get('method', '')} · friction {laying.friction:g}"
+    title = f"{curve.name} · {path.method or ''} · friction {laying.friction:g}"
     names = ["deployment"]
     if laying.trials > 1:
         names = [f"deployment-{k}" for k in range(laying.trials)]

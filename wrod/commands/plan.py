@@ -253,6 +253,7 @@ def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[P
         **fitted.figures,
         "nodes": len(trajectory),
         "laid_length": float(trajectory.arc_length[-1]),
+        "roll": float(trajectory.roll),
         "highest_grip": float(trajectory.position[:, 2].max()),
         "twist": trajectory.twist[[0, -1]].tolist() if rolled else None,
         "joint_path": None if joint_path is None else joint_path.metadata,

@@ -71,7 +71,7 @@ def within_speed(request, pace, planned):
         path = request.solve(start, grip_speed=asked, whole_job=False)
     except RobotError:
         return pace  # said when the corrected plan is followed
-    return low, max(low, high * min(path.metadata["grip_speed"] / asked, 1.0))
+    return low, max(low, high * min(path.grip_speed / asked, 1.0))
 
 
 def save_plan(out: Path, curve, trajectory) -> list[Path]:
@@ -247,7 +247,7 @@ def _room(request, planned, shaping, change: dict, seconds: float) -> float | No
             path = wanted.solve(trajectory, time_limit=seconds)
     except WrodError:
         return None
-    return path.metadata["limit_margin"]
+    return path.limit_margin
 
 
 def _absolute(change: dict, shaping) -> dict:

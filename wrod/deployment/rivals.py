@@ -93,7 +93,7 @@ def as_is_or_twisted(
     """
     if own.spin == 0.0:
         return own
-    asked = how | {"closure": own.metadata["closure"], "controller": None, "twisted": True}
+    asked = how | {"closure": own.closure, "controller": None, "twisted": True}
     try:
         rival = plan_grasps(pattern, rod, "numeric", remainder=False, **asked)
     except GraspError:  # no such grasp exists, or nobody knows it
@@ -102,5 +102,4 @@ def as_is_or_twisted(
     errors = expected_errors(rod, rivals, friction, device=how["device"])
     if errors[0] <= errors[1]:
         return own
-    method = own.metadata["method"]
-    return replace(rival, metadata=rival.metadata | {"method": method})
+    return replace(rival, metadata=rival.metadata | {"method": own.method})

@@ -49,7 +49,7 @@ def draw_plan(path: str | os.PathLike[str], pattern: Pattern, trajectory: Trajec
 
 
 def _title(pattern: Pattern, trajectory: Trajectory) -> str:
-    return f"{pattern.name} · {trajectory.metadata.get('method', '')} plan"
+    return f"{pattern.name} · {trajectory.method or ''} plan"
 
 
 def _subtitle(trajectory: Trajectory) -> str:
@@ -62,7 +62,7 @@ def _subtitle(trajectory: Trajectory) -> str:
         )
     parts.append(f"{len(trajectory)} contact nodes")
     if trajectory.closure:
-        parts.append(f"closure {trajectory.metadata['closure'].replace('_', ' ')}")
+        parts.append(f"closure {trajectory.closure.replace('_', ' ')}")
     return "   ·   ".join(parts)
 
 

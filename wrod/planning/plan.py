@@ -192,7 +192,6 @@ def _trajectory(
             "pattern_length": pattern.length,
             "remainder_length": pattern.remainder_length,
             "rod": rod_as_json(rod),
-            "roll": roll,
             "required_friction": float(np.max(friction_bound(pattern, rod).required)),
             "contact_friction": _contact_friction(poses.force),
             "largest_curvature": float(np.max(np.abs(curvature))),

@@ -72,7 +72,7 @@ def tail(
     contact = corner + np.column_stack(
         [_integrate(np.cos(heading), s), _integrate(np.sin(heading), s), np.zeros(count)]
     )
-    method = trajectory.metadata.get("method", "numeric")
+    method = trajectory.method or "numeric"
     if method == "neural":
         method = "auto"  # a tail is shorter in the end than what the controller was trained for
     if shapes:

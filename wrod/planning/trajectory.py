@@ -97,6 +97,11 @@ class Trajectory:
         return rod_of_json(content) if isinstance(content, dict) else None
 
     @property
+    def method(self) -> str | None:
+        """What computed the grips, as `wrod.plan` names it; None where `metadata` does not say."""
+        return self.metadata.get("method")
+
+    @property
     def remainder_length(self) -> float:
         """Length that is laid before the pattern [m]."""
         return float(self.metadata.get("remainder_length", 0.0))

@@ -57,18 +57,15 @@ def with_job(path: JointPath, task: Task) -> JointPath:
         task: that it solves.
 
     Returns:
-        The path from and to a neutral pose. `metadata["phases"]` lists name, start and end [s] of
-        `PHASES`, without "tail" where nothing of it can be laid; `metadata["neutral"]` are the
-        joint positions of that pose [rad], `metadata["stand"]` the capsules of the stand: start
-        and end in the table's frame and radius [m]; without it there is no room for one.
-        `metadata["stand_stays"]`: whether it is out of the way of all that follows; if not, it has
-        to be taken away once the hand has the rod. The nodes' times are later by what comes before.
+        The path from and to a neutral pose, which has `phases` (`PHASES`, without "tail" where
+        nothing of it can be laid), `neutral`, `stand` and `stand_stays`. The nodes' times are later
+        by what comes before.
 
     Raises:
         RobotError: there is no neutral pose, or no way between it and the rod.
     """
     arm = Arm(task.robot, task.model, Hand.of(task.model), path.placement)
-    rate = float(path.metadata["rate"])
+    rate = path.rate
     neutral, there, back, tail, stand, left_there = _ways(arm, task, path)
     first, end = path.arc_length[[0, -1]]
     last = path.positions[-1:] if tail is None else tail.positions[-1:]

@@ -94,6 +94,39 @@ class JointPath:
         return len(self.time)
 
     @property
+    def rate(self) -> float:
+        """Poses per second [Hz]."""
+        return float(self.metadata["rate"])
+
+    @property
+    def grip_speed(self) -> float:
+        """Fastest that the grip goes while it lays [m/s]."""
+        return self.metadata["grip_speed"]
+
+    @property
+    def limit_margin(self) -> float:
+        """Least distance of a joint from its limits [rad]."""
+        return self.metadata["limit_margin"]
+
+    @property
+    def stand(self) -> list:
+        """Capsules of what holds the rod until the hand does: start (3,) and end (3,) in the
+        table's frame, radius [m]; empty where there is no room for one."""
+        return self.metadata.get("stand", [])
+
+    @property
+    def stand_stays(self) -> bool:
+        """Whether the stand is out of the way of all that follows; if not, it has to be taken away
+        once the hand has the rod."""
+        return bool(self.metadata.get("stand_stays"))
+
+    @property
+    def neutral(self) -> list[float] | None:
+        """(n,) joint positions that it comes from and goes back to [rad]; None for the laying
+        alone."""
+        return self.metadata.get("neutral")
+
+    @property
     def phases(self) -> list[dict]:
         """What the arm does when, in order: {"name", "start" [s], "end" [s]}; names are those of
         `wrod.robot.job.PHASES`. The hand closes in "grasp" and opens in "release"."""
@@ -108,10 +141,10 @@ class JointPath:
     def holds_stand(self, time: float) -> bool:
         """Whether the rod's stand is there at a time [s]: throughout, if it is in nobody's way, and
         else until the hand has the rod."""
-        if "stand" not in self.metadata:
+        if not self.stand:
             return False
         grasped = next(phase["end"] for phase in self.phases if phase["name"] == "grasp")
-        return bool(self.metadata.get("stand_stays")) or time <= grasped + 1e-9
+        return self.stand_stays or time <= grasped + 1e-9
 
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write `path` as CSV (fixed rate) and NPZ (also the nodes). Returns both paths."""

@@ -83,8 +83,8 @@ def _followed(path: JointPath, task: Task, begin: float, end: float) -> LaidTail
     def shifted(travel, order=0):
         return spline(travel + begin, order)
 
-    timing = schedule(task.robot, shifted, end - begin, path.metadata["grip_speed"])
-    rate = float(path.metadata["rate"])
+    timing = schedule(task.robot, shifted, end - begin, path.grip_speed)
+    rate = path.rate
     time = np.arange(np.ceil(timing.duration * rate) + 1) / rate
     travel, speed = timing.travel(time)
     laid = task.path.arc_length(travel + begin)

@@ -279,10 +279,9 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
             seen += [(base @ shape.pose)[None, :3, 3] for shape in joint_path.obstacles]
         if robot.name != "sawyer":  # Sawyer brings its pedestal
             add_stand(stage, f"{root}/stand", base @ robot.mount, BASE_HEIGHT, materials)
-        if "stand" in joint_path.metadata:
+        if joint_path.stand:
             there = [joint_path.holds_stand(time) for time in shown.time]
-            parts = joint_path.metadata["stand"]
-            add_holder(stage, f"{root}/holder", parts, times, there, materials)
+            add_holder(stage, f"{root}/holder", joint_path.stand, times, there, materials)
         front = base[:2, 0]
         poses = robot.link_poses(shown.positions[:: max(1, len(times) // 20)])
         for link in poses.values():

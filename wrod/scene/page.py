@@ -96,7 +96,7 @@ def write_deployment_page(
         nodes = np.interp(at, time, np.arange(len(time)))
         laid = _length_laid(trajectory, joint_path, onward, at, nodes)
         line = add_rod(server, shapes, errors, nodes[0], radius)
-        holder = [] if joint_path is None else add_holder(server, joint_path.metadata)
+        holder = [] if joint_path is None else add_holder(server, joint_path.stand)
         seen = _seen(trajectory, shapes, arm)
         label = _captions(server, trajectory, joint_path, captions, placement, seen)
         recording = server.get_scene_serializer()

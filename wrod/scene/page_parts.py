@@ -117,12 +117,10 @@ def move_rod(rod: dict, shapes, errors, node: float) -> None:
         rod["body"].batched_colors = colors[1:].copy()
 
 
-def add_holder(server, metadata: dict) -> list:
+def add_holder(server, stand: list) -> list:
     """The stand that holds the rod until the hand does."""
     parts = []
-    for name, (start, end, radius) in zip(
-        ("post", "clip"), metadata.get("stand", ()), strict=False
-    ):
+    for name, (start, end, radius) in zip(("post", "clip"), stand, strict=False):
         points = np.array([start, end], dtype=float)
         tube = _tube(points, radius)
         parts.append(

@@ -88,7 +88,7 @@ def falling(trajectory) -> Falls:
     since then [s] -> (K, M, 3). It is simulated, on the table that the plan was laid on, once: what
     it is asked for later is the same rod, whatever points that has. It is drawn straight ahead
     where the trajectory does not say its rod, or the simulation does not end."""
-    expected = trajectory.metadata.get("expected") or {}
+    expected = trajectory.expected or {}
     friction = float(np.mean(expected.get("friction", _FRICTION)))
     rod = trajectory.rod
     simulated = []

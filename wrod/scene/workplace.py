@@ -113,7 +113,7 @@ def add_stand(stage, path: str, base: np.ndarray, height: float, materials: Mate
 
 def add_holder(stage, path: str, parts, times, there, materials: Materials) -> None:
     """The stand that holds the rod until the hand does, to be seen at the time codes (T,) at which
-    it is `there` (T,); parts are `JointPath.metadata["stand"]`."""
+    it is `there` (T,); parts are `JointPath.stand`."""
     from pxr import UsdGeom
 
     UsdGeom.Xform.Define(stage, path)
