@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 import warp as wp
 from chosen import DEVICE
+from scipy.spatial.transform import Rotation
+from scipy.special import ellipj, ellipkinc
 
 import wrod
 from wrod.bench.newton_bodies import (
@@ -67,6 +69,55 @@ def test_period_of_a_torsional_pendulum(scheme, error):
     inertia about its axis."""
     period, expected = torsion(scheme)
     assert period == pytest.approx(expected, rel=error)
+
+
+@pytest.mark.filterwarnings("ignore:this solver moves bodies")
+@pytest.mark.parametrize("scheme, error", [("bdf2", 5e-3), ("midpoint", 1e-3)])
+def test_a_spinning_book_flips(scheme, error):
+    """Spun about the axis of its middle inertia, a body turns over as Euler's equations have it, in
+    Jacobi's elliptic functions (Landau and Lifshitz, Mechanics, 37.10), to second order in the
+    step; its angular momentum stays, in the precision of its state."""
+    builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
+    SolverDER.register_custom_attributes(builder)
+    book = builder.add_body()
+    builder.add_shape_box(book, hx=0.02, hy=0.08, hz=0.12)
+    points = np.linspace(1.0, 1.2, 5)[:, None] * [1.0, 0.0, 0.0]
+    SolverDER.add_rod(builder, points, NYLON)
+    model = builder.finalize(device=DEVICE)
+    start = np.array([0.02, 8.0, 0.05], dtype=np.float32).astype(float)
+    inertia = np.diag(model.body_inertia.numpy()[book]).astype(float)
+    # Of the largest, the middle and the smallest inertia.
+    a, b, c = inertia
+    energy, momentum = inertia @ start**2, inertia**2 @ start**2
+    assert a > b > c and momentum < b * energy
+    most = [(energy * c - momentum) / (a * (c - a)), (energy * c - momentum) / (b * (c - b)),
+            (momentum - energy * a) / (c * (c - a))]  # fmt: skip
+    rate = np.sqrt((c - b) * (momentum - energy * a) / (a * b * c))
+    m = (b - a) * (energy * c - momentum) / ((c - b) * (momentum - energy * a))
+    x, y = start[:2] / np.sqrt(most[:2])
+    begun = ellipkinc(np.arctan2(y, x), m)
+
+    def off(steps):
+        solver, state = SolverDER(model, bodies=[book], scheme=scheme), model.state()
+        speeds = state.body_qd.numpy()
+        speeds[book, 3:] = start
+        state.body_qd.assign(speeds)
+        found = []
+        for _ in range(steps):
+            solver.step(state, state, None, None, 2.0 / steps)
+            turn = Rotation.from_quat(state.body_q.numpy()[book, 3:])
+            spin = turn.inv().apply(state.body_qd.numpy()[book, 3:])
+            found.append(spin)
+            kept = turn.apply(inertia * spin)
+            assert kept == pytest.approx(inertia * start, abs=1e-6 * np.sqrt(momentum))
+        time = np.arange(1, steps + 1) * 2.0 / steps
+        sn, cn, dn, _ = ellipj(begun - rate * time, m)
+        exact = np.sqrt(most) * np.stack([cn, sn, dn], axis=1)
+        assert exact[:, 1].min() < -7.5
+        return np.abs(found - exact).max() / 8.0
+
+    coarse, fine = off(240), off(480)
+    assert fine < error and coarse / fine > 3.5
 
 
 def test_joint_torques_of_an_arm_that_holds_a_cable():
