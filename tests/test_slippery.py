@@ -17,21 +17,26 @@ def test_summary_is_the_mean_over_trials_and_then_over_cells():
         | {"error_mean": error, "error_robot": 0.5 * error, "curve": [[0.0, 0.01 * error]] * 3}
         for name, method, error in (
             ("line", "a", 1.0), ("line", "b", 2.0), ("line", "a", 3.0), ("sine", "a", 6.0),
-            ("sine", "b", 4.0), ("circle", "a", 5.0),
+            ("sine", "b", 4.0), ("circle", "a", 5.0), ("circle", "put_down", 6.0),
         )
     ]  # fmt: skip
     table = summary(rows)
     assert [cell["error_mean"] for cell in table] == [
-        {"a": 2.0, "b": 2.0}, {"a": 6.0, "b": 4.0}, {"a": 5.0},
+        {"a": 2.0, "b": 2.0}, {"a": 6.0, "b": 4.0}, {"a": 5.0, "put_down": 6.0},
     ]  # fmt: skip
     assert table[0]["error_robot"] == {"a": 1.0, "b": 1.0}
     # Of two trials 2 cm apart, each 1 cm beside their mean, which is itself uncertain.
     assert table[0]["apart"] == {"a": pytest.approx(2.0**0.5)} and not table[1]["apart"]
     bent, others = means(table, lambda rod, pattern: pattern == "circle")
-    assert (bent["cells"], bent["error_mean"]) == (1, {"a": 5.0})
+    assert (bent["cells"], bent["error_mean"]) == (1, {"a": 5.0, "put_down": 6.0})
+    assert bent["better"] == {"error_mean": {"a": 1}, "error_robot": {"a": 1}}
+    assert "better" not in others
     assert (others["cells"], others["error_mean"]) == (2, {"a": 4.0, "b": 3.0})
     lines = told(table, [bent, others])
     assert lines[0] == "rope, line, friction 0.3: a 2.000 (1.000, 1.414), b 2.000 (1.000) cm, wrod"
+    assert lines[-3].startswith(
+        "cells of these in which rods lie nearer than those put down: a 1 (1)"
+    )
     assert lines[-2].startswith("mean of 2 that bend by up to 0.4 / L_gb, friction 0.3: a 4.000 (2")
 
 
@@ -57,7 +62,7 @@ def test_bad_options_are_refused(tmp_path, options, says):
 
 def test_rods_put_down_exactly_are_compared_and_kept(tmp_path):
     arguments = ["bench", "slippery", "--methods", "put_down", "--frictions", "0.6", "--device"]
-    arguments += ["cpu", "--spacing", "0.02", "--step", "0.02", "--trials", "1"]
+    arguments += ["cpu", "--spacing", "0.02", "--step", "0.02", "--trials", "1", "--undisturbed"]
     arguments += ["--rods", "green-vps", "--names", "letter-U", "--out"]
     for _ in range(2):  # the second time nothing is simulated
         result = CliRunner().invoke(main, [*arguments, str(tmp_path)])
@@ -65,6 +70,31 @@ def test_rods_put_down_exactly_are_compared_and_kept(tmp_path):
         assert "green-vps, letter-U, friction 0.6: put_down 0.0" in result.output
     assert len((tmp_path / "trials.jsonl").read_text().splitlines()) == 2
     assert (tmp_path / "slippery.png").stat().st_size > 10_000
+
+
+def test_what_is_put_down_goes_with_the_robot_and_is_the_rod_of_the_trial():
+    from wrod.bench.put_down import put_down
+    from wrod.deployment.setup import Disturbance
+    from wrod.solvers.contact import Friction
+
+    arc = wrod.Pattern.from_points(
+        [(0.05 * np.sin(a), 0.05 * (1.0 - np.cos(a))) for a in np.linspace(0.0, np.pi, 60)]
+    )
+    aside = Disturbance(offset=(0.002, -0.001), yaw=0.03)
+    hows = [Disturbance(), aside, Disturbance(natural_curvature=20.0), Disturbance(lgb_error=0.2)]
+    courses = [(arc, wrod.rod("green-vps"), Friction(0.4), how) for how in hows]
+    still, moved, bent, stiff = (
+        place for _, place, *_ in put_down(courses, node_count=17, step=0.02, device="cpu")
+    )
+    start = arc.sample(0.0)[0][0]
+    assert np.abs(aside.displaced(still, start) - moved)[:, :2].max() < 1e-6
+    # One that is bent at rest as it is put down hardly springs, a stiffer one springs further.
+    off = [
+        np.linalg.norm((x - arc.sample(s)[0])[:, :2], axis=1).mean()
+        for x in (still, bent, stiff)
+        for s in [np.linspace(0.0, arc.length, 17)]
+    ]
+    assert off[1] < 0.3 * off[0] and off[2] > 1.1 * off[0]
 
 
 @pytest.mark.parametrize("kinds", [None, "placement", "jitter,lgb_error"])

@@ -9,6 +9,7 @@ import numpy as np
 import wrod
 from wrod.bench.mujoco_chain import chain, put_down_in_mujoco
 from wrod.bench.put_down import put_down
+from wrod.deployment.setup import Disturbance
 from wrod.solvers.contact import Friction
 
 ROD = wrod.rod("green-vps")
@@ -91,7 +92,7 @@ def test_a_bent_rod_straightens_as_in_our_own_engine(mu):
     )
     s, place = put_down_in_mujoco(arc, ROD, mu, step=0.001)
     ((own_s, own, _, _),) = put_down(
-        [(arc, ROD, Friction(mu))], node_count=33, step=0.005, device="cpu"
+        [(arc, ROD, Friction(mu), Disturbance())], node_count=33, step=0.005, device="cpu"
     )
     left, own_left = (
         np.linalg.norm((x - arc.sample(at)[0])[:, :2], axis=1)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from wrod.deployment.assembly import INTERNAL_DAMPING
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.grip_path import KEY_INTERVAL
-from wrod.deployment.setup import Setup, blend
+from wrod.deployment.setup import Disturbance, Setup, blend
 from wrod.deployment.simulate import Trial, prepare_trials, with_remainder_of
 from wrod.errors import RodError, needed_extras
 from wrod.patterns.pattern import Pattern
@@ -217,24 +217,30 @@ def lay_in_mujoco(
 
 
 def put_down_in_mujoco(
-    pattern: Pattern, rod: RodMaterial, friction: float, step: float = 0.004
+    pattern: Pattern,
+    rod: RodMaterial,
+    friction: float,
+    disturbance: Disturbance | None = None,
+    step: float = 0.004,
 ) -> tuple[np.ndarray, np.ndarray]:
     """A rod that is put down exactly and left to itself (`wrod.bench.put_down`); `step` in [s].
 
     Returns:
         Arc length of the ends of the segments (n + 1,) and their positions (n + 1, 3) [m].
     """
+    told = disturbance or Disturbance()
     length = pattern.length + pattern.remainder_length
     s = np.linspace(0.0, length, int(np.ceil(length / _SEGMENT)) + 1)
     place, tangent, _ = pattern.sample(s - pattern.remainder_length)
     lift = [0.0, 0.0, rod.radius - place[0, 2]]
     one = chain(
-        place + lift,
-        np.cross([0.0, 0.0, 1.0], tangent[0]),
-        stiffness=rod.bending_stiffness,
+        told.displaced(place, place[0]) + lift,
+        told.turned(np.cross([0.0, 0.0, 1.0], tangent[0])),
+        stiffness=rod.bending_stiffness * (1.0 + told.lgb_error) ** 3,
         weight=rod.weight,
         radius=rod.radius,
         friction=friction,
+        natural_curvature=told.natural_curvature,
         hand=False,
         step=step,
         gravity=(0.0, 0.0, -rod.gravity),

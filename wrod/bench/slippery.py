@@ -14,7 +14,16 @@ import numpy as np
 
 from wrod import cost
 from wrod.bench import campaign, courses
-from wrod.bench.slippery_report import KEYS, draw, means, summary, told, write_csv
+from wrod.bench.slippery_report import (
+    KEYS,
+    MISPLACED,
+    PUT_DOWN,
+    draw,
+    means,
+    summary,
+    told,
+    write_csv,
+)
 from wrod.errors import RodError
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
@@ -23,9 +32,6 @@ from wrod.options import gathered
 from wrod.telling import json_option, tell
 
 ENGINES = ("wrod", "mujoco")
-# A rod that is put down exactly, and one that lies exactly where a robot that stands elsewhere, and
-# does not know it, has the pattern: what no plan can be better than on average.
-PUT_DOWN, MISPLACED = "put_down", "misplaced"
 METHODS = (
     "intuitive",
     "zero_tension",
@@ -128,7 +134,7 @@ def command(
         (*cell, trial)
         for trial in range(trials)
         for cell in cells
-        if (trial == 0 or cell[3] != PUT_DOWN) and (cell[3] != "feedback" or cell[4] == "wrod")
+        if cell[3] != "feedback" or cell[4] == "wrod"
     ]
 
     jobs = [(shelf, key, how) for key in ledger.lacking(keys)]
@@ -289,6 +295,7 @@ def _course(shelf: Shelf, key: tuple, how: dict):
     from wrod.bench.mujoco_chain import lay_in_mujoco, put_down_in_mujoco
     from wrod.bench.put_down import put_down
     from wrod.deployment.feedback import Plant, following
+    from wrod.deployment.setup import Disturbance
     from wrod.deployment.sight import Sight
     from wrod.deployment.simulate import Trial
     from wrod.deployment.together import Asked
@@ -298,14 +305,15 @@ def _course(shelf: Shelf, key: tuple, how: dict):
     rod_name, name, mu, method, engine, seed = key
     led, material = shelf.course(rod_name, name)
     how = dict(how)
-    told, steps, diverged = _disturbance(key, how.pop("disturbed")), 0, False
+    told = Disturbance.random(_FIRST_SEED + seed, only=how.pop("disturbed"))
+    steps, diverged = 0, False
     chain_step = how.pop("chain_step")
     if method == PUT_DOWN and engine == "mujoco":
-        s, place = put_down_in_mujoco(led, material, mu)
+        s, place = put_down_in_mujoco(led, material, mu, told)
     elif method == PUT_DOWN:
         edges = (led.length + led.remainder_length) / how["discretisation"].spacing
         nodes = int(edges) + 2
-        job = (led, material, Friction(mu))
+        job = (led, material, Friction(mu), told)
         (end,) = put_down([job], node_count=nodes, step=how["discretisation"].step, device="cpu")
         s, place, diverged, steps = end
     elif method == MISPLACED:
@@ -331,15 +339,6 @@ def _course(shelf: Shelf, key: tuple, how: dict):
             s, place, diverged, steps = laid.arc_length, laid.centerline, laid.diverged, laid.steps
     row = dict(zip(KEYS, key, strict=True)) | _figures(shelf, key, s, place, told)
     return row | {"steps": steps, "diverged": diverged}
-
-
-def _disturbance(key: tuple, by: list[str]):
-    """Of the trial; a rod that is put down exactly has none."""
-    from wrod.deployment.setup import Disturbance
-
-    if key[3] == PUT_DOWN:
-        return Disturbance()
-    return Disturbance.random(_FIRST_SEED + key[5], only=by)
 
 
 def _figures(shelf: Shelf, key: tuple, s: np.ndarray, place: np.ndarray, disturbance) -> dict:

@@ -9,6 +9,9 @@ import numpy as np
 from wrod import files
 
 KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
+# A rod that is put down exactly where a robot that stands elsewhere, and does not know it, has the
+# pattern, and one that stays there: what no plan can be better than on average.
+PUT_DOWN, MISPLACED = "put_down", "misplaced"
 # From the pattern, from where the robot, misplaced, has it, and from where trials lie on average,
 # which is what no plan takes away that does not see them.
 _ERRORS = ("error_mean", "error_robot", "apart")
@@ -44,7 +47,8 @@ def _apart(curves: np.ndarray) -> float:
 
 def means(table: list[dict], bends: Callable[[str, str], bool]) -> list[dict]:
     """Mean errors [cm] of the cells of each friction and engine, of patterns that bend and of
-    others, by the methods that all of these cells have; "cells" says of how many."""
+    others, by the methods that all of these cells have; "cells" says of how many, and "better" in
+    how many a method's rods lie nearer than those that were put down."""
     groups: dict[tuple, list[dict]] = {}
     for cell in table:
         place = bends(cell["rod"], cell["pattern"]), cell["friction"], cell["engine"]
@@ -56,6 +60,12 @@ def means(table: list[dict], bends: Callable[[str, str], bool]) -> list[dict]:
         for name in _ERRORS:
             common = [m for m in cells[0][name] if all(m in c[name] for c in cells)]
             out[-1][name] = {m: float(np.mean([c[name][m] for c in cells])) for m in common}
+            if PUT_DOWN in common and name != _ERRORS[2]:
+                out[-1].setdefault("better", {})[name] = {
+                    m: sum(c[name][m] < c[name][PUT_DOWN] for c in cells)
+                    for m in common
+                    if m not in (PUT_DOWN, MISPLACED)
+                }
     return out
 
 
@@ -78,6 +88,10 @@ def told(table: list[dict], groups: list[dict]) -> list[str]:
         lines.append(
             f"mean of {one['cells']} {kind} 0.4 / L_gb, friction {one['friction']:g}: {errors(one)}"
         )
+        if "better" in one:
+            on_table, own = (one["better"][name] for name in _ERRORS[:2])
+            each = ", ".join(f"{m} {on_table[m]} ({own[m]})" for m in on_table)
+            lines.append(f"cells of these in which rods lie nearer than those put down: {each}")
     said = "from where the robot, misplaced, has the pattern; how far trials lie from their mean"
     return [*lines, f"(in brackets: {said})"]
 
