@@ -97,6 +97,7 @@ def begin_step(
 def judge_step(
     # Model:
     max_iterations: int,
+    shrinks: wp.float64,
     largest_step: wp.float64,
     smallest_step: wp.float64,
     growth: wp.float64,
@@ -104,12 +105,15 @@ def judge_step(
     scheme: int,
     # State in:
     negative_pivots: wp.array(dtype=wp.int32),
+    residual: wp.array(dtype=wp.float64),
     # State in and out:
     pace: Pace,
 ):
     """Accept a converged step; halve a failed one; cut out a rod whose step falls too far.
 
-    Every rod has its own iteration, so that none waits for the slowest. A step that ends where its
+    Every rod has its own iteration, so that none waits for the slowest. A step fails as soon as the
+    iterations that are left cannot make it converge, were each to divide its residual by `shrinks`.
+    A step that ends where its
     matrix is indefinite sits on an unstable state, which a long implicit step would hold for ever:
     only a shorter one lets the rod leave it.
     """
@@ -119,7 +123,9 @@ def judge_step(
     pace.rejected[r] = 0
     if pace.running[r] == 0:
         return
-    if pace.active[r] != 0 and pace.iteration[r] < max_iterations:
+    left = wp.float64(max_iterations - pace.iteration[r])
+    hopeless = residual[r] > pace.step_tolerance[r] * wp.pow(shrinks, left)
+    if pace.active[r] != 0 and left > ZERO and not hopeless:
         pace.iteration[r] = pace.iteration[r] + 1
         pace.iteration_count[r] = pace.iteration_count[r] + 1
         return

@@ -398,3 +398,19 @@ def test_bad_options_are_refused():
     box = Box(center=(0.0, 0.0, -1.0), half_size=(0.1, 0.1, 0.1))
     with np.errstate(all="raise"):  # equilibria may touch solids without any
         Contact(massless, 0.01, 1.0, Friction(0.3), (box,))
+
+
+def test_a_step_is_given_up_once_its_residual_cannot_come_down_in_time():
+    """By a factor of 4 in each of the iterations that are left, of twelve."""
+    dynamics = Dynamics(cantilever(rod_count=4), radius=0.01, tolerance=1e-3)
+    for shrinks, given_up in ((np.inf, [0, 0, 0, 1]), (4.0, [0, 1, 1, 1])):
+        dynamics.shrinks = shrinks
+        for array, values in (
+            (dynamics.running, [1, 1, 1, 1]), (dynamics.active, [1, 1, 1, 1]),
+            (dynamics.iteration, [9, 9, 2, 12]), (dynamics.step_tolerance, [1e-3] * 4),
+            (dynamics.residual, [0.06, 0.07, 1100.0, 2e-3]),
+        ):  # fmt: skip
+            array.assign(values)
+        dynamics._judge(0.02, 1e-6)
+        assert dynamics.rejected.numpy().tolist() == given_up
+        assert dynamics.iteration.numpy().tolist() == [9 + 1, 10 - given_up[1], 3 - given_up[2], 12]

@@ -22,10 +22,10 @@ from wrod.solvers.dynamics import Dynamics
 # down, which loads it with about 2 w L_gb at a point, that makes some 1 % of the radius.
 _SINKING = 1.0 / 600.0
 _SINKING_AT_POSTS = _SINKING / 10.0
-# Newton's iterations of a step, for tolerances below this and for others: steps that converge to
-# such take four; where nodes come to stick, slide or touch in turn more do not help, and half the
-# step does. Tight ones take more, lest rods that differ by next to nothing are laid in other steps.
-_ITERATIONS, _TIGHT = (12, 6), 1e-4
+# Steps with tolerances from the first on are given up once their residual could not come down by
+# this factor an iteration: where nodes come to stick, slide or touch in turn half the step is
+# sooner there. Tight ones go on, lest rods that differ by next to nothing are laid in other steps.
+_LOOSE, _SHRINKS = 1e-4, 4.0
 # Of rods that say nothing of it, which swing for seconds otherwise [1/s].
 _AIR_DAMPING = 1.0
 # Kelvin-Voigt time of rods that nobody has shaken: three recorded cables have 53 to 78 ms
@@ -78,7 +78,8 @@ def assemble(
         tolerance=discretisation.tolerance,
         keeps_recording=keeps_recording,
     )
-    dynamics.max_iterations = _ITERATIONS[int(discretisation.tolerance >= _TIGHT)]
+    if discretisation.tolerance >= _LOOSE:
+        dynamics.shrinks = _SHRINKS
     drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
     if drag is not None:
         dynamics.set_drag(np.pad(drag, ((0, 0), (0, 1), (0, 0))))

@@ -82,6 +82,8 @@ class Dynamics(NewtonSteps):
 
     Attributes:
         max_iterations: of Newton; a step that needs more is halved.
+        shrinks: by how much an iteration is taken to divide the residual at most [-]: a step that
+            would not converge even so is halved at once.
         refuses_saddles: halve steps, too, whose matrix is indefinite where they end.
         follower: what is carried along with the steps, or None; see `forget_recording`.
 
@@ -90,6 +92,7 @@ class Dynamics(NewtonSteps):
     """
 
     max_iterations = 12
+    shrinks = np.inf
     refuses_saddles = True
     follower: Follower | None = None
 

@@ -49,6 +49,7 @@ class NewtonSteps(Steps):
     rounding: wp.array
     tolerance: float
     max_iterations: int
+    shrinks: float
     refuses_saddles: bool
     _scheme: int
     _growth: float
@@ -154,8 +155,9 @@ class NewtonSteps(Steps):
         """What becomes of every rod's step: taken, gone on with, or cut."""
         self._per_rod(
             pace.judge_step,
-            [self.max_iterations, wp.float64(largest), wp.float64(smallest), wp.float64(_GROWTH)]
-            + [int(self.refuses_saddles), self._scheme, self.system.negative_pivots],
+            [self.max_iterations, wp.float64(self.shrinks), wp.float64(largest)]
+            + [wp.float64(smallest), wp.float64(_GROWTH), int(self.refuses_saddles), self._scheme]
+            + [self.system.negative_pivots, self.residual],
             [self.pace],
         )
 
