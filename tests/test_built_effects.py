@@ -48,6 +48,34 @@ def test_derivatives_are_exact(laboratory, name):
         assert np.abs(numeric[:, markers] - rates[:, markers, j]).max() <= 2e-4 * size
 
 
+@pytest.mark.parametrize(("start", "length"), [(0.2, 0.003), (0.2013, 0.008), (0.237, 0.06)])
+def test_a_stretch_gives_and_weighs_the_same_wherever_the_nodes_are(laboratory, start, length):
+    """Sections give one after another: compliances add up to those of the rod, not stiffnesses."""
+    base, effect = laboratory.base, Stretch([])
+    stiff, heavy = np.log(3.0), 1.4
+    setup = Model((effect,)).setup(base, np.array([stiff, heavy, start, np.log(length)]))
+    cells = base.cells()
+    for was, has in (
+        (base.bending[:, 0], setup.bending[:, 0]),
+        (base.twisting, setup.twisting),
+    ):
+        softer = (was / has - 1.0) * cells
+        assert softer.sum() == pytest.approx((1.0 / 3.0 - 1.0) * length, rel=1e-9)
+        middle = (softer * base.arc_length).sum() / softer.sum()
+        assert middle == pytest.approx(start + 0.5 * length, abs=0.26 * cells[1])
+    drawn = (base.stretching / setup.stretching - 1.0) * np.diff(base.arc_length)
+    assert drawn.sum() == pytest.approx((1.0 / 3.0 - 1.0) * length, rel=1e-9)
+    extra = (setup.line_mass - base.line_mass) * cells
+    assert extra.sum() == pytest.approx(heavy * base.line_mass[0] * length, rel=1e-9)
+
+
+def test_a_kink_between_nodes_bends_by_its_whole_angle(laboratory):
+    base = laboratory.base
+    values = np.array([0.4, -0.3, 0.2141, np.log(1e-3)])
+    curvature = Model((LocalBend([]),)).setup(base, values).natural_curvature
+    assert base.cells() @ curvature == pytest.approx([-0.3, -0.4], rel=1e-9)
+
+
 def test_a_law_of_one_term_is_the_softening_of_that_curvature(laboratory):
     """M = B k (1 - p x / (1 + x)) keeps 1 - p: two kernels' sums against one kernel."""
     law = laboratory.predict(Model((MomentLaw([5.0]),)), np.array([0.6]))

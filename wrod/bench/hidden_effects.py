@@ -10,11 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import expit
 
 from wrod.bench.continuous_rod import Experiment, constant, tangent_turn, turn_axis
 
 TRIALS = 24
 _AIR_DRAG = 1.2 * 1.2  # rho_air C_d, as the plug-in takes it [kg/m^3]
+# A sleeve's ends go from a fifth to four fifths within three times this [m].
+_SLEEVE_END = 5e-4
 
 Truth = dict[tuple[str, ...], tuple[float, ...]]
 
@@ -315,11 +318,13 @@ def soft_spot(rng, rod):
     def factor(s):
         return 1.0 - 0.875 * np.exp(-((((s - place) / 0.02) ** 2) ** 2))
 
-    around = np.linspace(place - 0.06, place + 0.06, 2001)
-    softer = float(np.trapezoid(1.0 / factor(around) - 1.0, around))
-    truth = _vector("stretch", ("extra_compliance",), [softer])
-    # It has no ends: these are the ones of the stretch that such a rod is fitted by without noise.
-    truth["stretch"][("start", "stop")] = (place - 0.009, place + 0.009)
+    away = np.linspace(-0.06, 0.06, 2001)
+    softer = 1.0 / factor(place + away) - 1.0
+    whole, spread = (np.trapezoid(x * softer, away) for x in (1.0, away**2))
+    truth = _vector("stretch", ("extra_compliance",), [float(whole)])
+    # It has no ends: these are those of the stretch that gives as much, as far from its middle.
+    half = float(np.sqrt(3.0 * spread / whole))
+    truth["stretch"][("start", "stop")] = (place - half, place + half)
     return Hidden(stiff_along(factor), truth)
 
 
@@ -330,14 +335,15 @@ def sleeve(rng, rod):
     line = rod.weight / rod.gravity
 
     def window(s):
-        return (
-            1.0 / (1.0 + np.exp((start - s) / 0.003)) / (1.0 + np.exp((s - start - length) / 0.003))
-        )
+        return expit((s - start) / _SLEEVE_END) * expit((start + length - s) / _SLEEVE_END)
 
     def factor(s):
-        return 1.0 + (stiff - 1.0) * window(s)
+        # Sections give one after another: an end is where half of the compliance is. Of a stiffness
+        # half of which is there that is further out, by ln(stiff) of the end's width.
+        return 1.0 / (1.0 + (1.0 / stiff - 1.0) * window(s))
 
     truth = _vector("stretch", ("extra_mass",), [heavy * line * length])
+    truth["stretch"][("extra_compliance",)] = ((1.0 / stiff - 1.0) * length,)
     truth["stretch"][("start", "stop")] = (start, start + length)
     return Hidden(stiff_along(factor, mass=lambda s: heavy * line * window(s)[None]), truth)
 

@@ -12,18 +12,34 @@ from scipy.special import ndtr
 
 from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
 
-# Width of the soft edges of a stretch [m]: what markers centimetres apart cannot tell from sharp.
-_EDGE = 4e-3
+# Width of the soft ends of a stretch [m], which is not to be seen: what bends and weighs moves by
+# the square of it.
+_END = 1e-3
 
 
-def _window(setup, start, stop):
-    """(n + 1,) 1 between two arc lengths, 0 outside, analytic."""
-    s = setup.arc_length
+def _cells(fraction: np.ndarray) -> np.ndarray:
+    """(n + 2,) ends of the nodes' cells along the rod, as shares of it."""
+    return np.concatenate([fraction[:1], 0.5 * (fraction[1:] + fraction[:-1]), fraction[-1:]])
 
-    def step(x):
-        return 0.5 * (1.0 + np.tanh(0.5 * x / _EDGE))
 
-    return step(s - start) * step(stop - s)
+def _mean(law, bounds) -> np.ndarray:
+    """(n,) means between (n + 1,) bounds of what `law` is the integral of, analytic."""
+    return np.diff(law(bounds)) / np.diff(bounds)
+
+
+def _window(bounds, start, stop) -> np.ndarray:
+    """(n,) shares of the rod between (n + 1,) bounds that lie between two arc lengths, analytic."""
+
+    def covered(s):
+        x = (s - start) / _END, (s - stop) / _END
+        return _END * (_softplus(x[0]) - _softplus(x[1]))
+
+    return _mean(covered, bounds)
+
+
+def _softplus(x):
+    over = np.real(x) > 0.0
+    return np.where(over, x, 0.0) + np.log1p(np.exp(np.where(over, -x, x)))
 
 
 class Described(Effect):
@@ -55,8 +71,8 @@ class LocalBend(Described):
 
     def apply(self, setup, values):
         width = np.exp(values[3])
-        x = (setup.arc_length - values[2]) / width
-        bump = np.exp(-0.5 * x * x) / (width * np.sqrt(2.0 * np.pi))
+        bounds = _cells(setup.fraction) * setup.length
+        bump = _mean(lambda s: ndtr((s - values[2]) / width), bounds)
         vector = np.array([values[1], -values[0]])
         setup.natural_curvature = setup.natural_curvature + bump[:, None] * vector
 
@@ -92,12 +108,14 @@ class Stretch(Described):
     )
 
     def apply(self, setup, values):
-        window = _window(setup, values[2], values[2] + np.exp(values[3]))
-        # Compliances add up, so a short stretch acts by the integral of its own.
-        factor = 1.0 / (1.0 + (np.exp(-values[0]) - 1.0) * window)
-        setup.bending = setup.bending * factor[:, None]
-        setup.twisting = setup.twisting * factor
-        setup.stretching = setup.stretching * 0.5 * (factor[1:] + factor[:-1])
+        ends = values[2], values[2] + np.exp(values[3])
+        window = _window(_cells(setup.fraction) * setup.length, *ends)
+        within = _window(setup.arc_length, *ends)
+        # Sections give one after another: of a cell, and of an edge, compliances have a mean.
+        softer = np.exp(-values[0]) - 1.0
+        setup.bending = setup.bending / (1.0 + softer * window)[:, None]
+        setup.twisting = setup.twisting / (1.0 + softer * window)
+        setup.stretching = setup.stretching / (1.0 + softer * within)
         setup.line_mass = setup.line_mass * (1.0 + values[1] * window)
 
     def special_cases(self, values, measurements):
@@ -109,9 +127,9 @@ class Stretch(Described):
     def doubt(self, values, covariance, measurements):
         own, length = self.describe(values, covariance, measurements), measurements.material.length
         first, last = own["start"], own["stop"]
-        if last.value > length - max(2.0 * last.stderr, _EDGE):
+        if last.value > length - max(2.0 * last.stderr, 4.0 * _END):
             return "the stretch reaches the gripper, which may give way itself"
-        if first.value < max(2.0 * first.stderr, _EDGE):
+        if first.value < max(2.0 * first.stderr, 4.0 * _END):
             return "the stretch reaches clamp A, which may give way itself"
         return ""
 
@@ -151,7 +169,8 @@ class LocalLoad(Described):
     )
 
     def apply(self, setup, values):
-        window = _window(setup, values[3], values[3] + np.exp(values[4]))
+        bounds = _cells(setup.fraction) * setup.length
+        window = _window(bounds, values[3], values[3] + np.exp(values[4]))
         setup.push(window[:, None] * np.asarray(values[:3]))
 
     def describe(self, values, covariance, measurements):
