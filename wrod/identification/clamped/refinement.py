@@ -40,7 +40,7 @@ from wrod.identification.effect import Effect, Estimate, Model
 # Kinds of profiles that effects have a law of.
 _QUANTITIES = ("curvature", "stiffness", "weight")
 # Log evidence of all trials from which a profile is likelier than the law, twenty to one [nats].
-_EVIDENCE = 3.0
+EVIDENCE = 3.0
 # How often at most the profile is built with the noise beside it and from where it is then, and by
 # how much its evidence changes where that need not be repeated [nats].
 _PASSES, _SETTLED = 5, 1.0
@@ -291,8 +291,8 @@ def _weighed(laboratory: Laboratory, poor: Fit, rich: Fit, log_odds, place) -> t
     """(the step from one model to the other, RMS of markers held out with it)."""
     (seen, ahead), error, reason = log_odds, np.inf, ""
     evidence = seen + ahead
-    if evidence < _EVIDENCE:
-        reason = f"the log evidence of a profile is {evidence:.1f}, less than {_EVIDENCE:g}"
+    if evidence < EVIDENCE:
+        reason = f"the log evidence of a profile is {evidence:.1f}, less than {EVIDENCE:g}"
     elif ahead < 0.0:
         reason = f"unseen trials are less likely with a profile, by {-ahead:.1f} nats"
     else:
@@ -302,7 +302,7 @@ def _weighed(laboratory: Laboratory, poor: Fit, rich: Fit, log_odds, place) -> t
             reason = "a trial held out has no equilibrium with it"
     said = f"the log evidence of a profile is {evidence:.1f}, held-out error {1e3 * error:.3f} mm"
     accepted, stays = None if reason else rich.model.names, ""
-    if reason and evidence > -_EVIDENCE:
+    if reason and evidence > -EVIDENCE:
         stays = rich.model.effects[place].name
     step = Round(poor.model.names, rich, [rich], [evidence], accepted, reason or said, stays)
     return step, float(error)

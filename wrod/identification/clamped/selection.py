@@ -27,8 +27,8 @@ from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.moment_law import MomentLaw, moment_law_of
 from wrod.identification.clamped.noise import estimate
-from wrod.identification.clamped.profiles import ProfileEffect, built_effects
-from wrod.identification.clamped.refinement import profile_of, refined
+from wrod.identification.clamped.profiles import built_effects
+from wrod.identification.clamped.refinement import EVIDENCE, profile_of, refined
 from wrod.identification.clamped.scatter import only_scatter
 from wrod.identification.clamped.steps import (
     FLUCTUATION,
@@ -349,7 +349,12 @@ def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[R
     """(model, held-out error): the best profile alone, where it does better than what was found."""
     alone = [f for f in rounds[0].fits if has_profile(f.model)] if rounds else []
     built = any(isinstance(e, Described) for e in current.model.effects)
-    if not alone or (_evident(alone[0]) if built else alone[0].bic) > current.bic - BIC_MARGIN:
+    if not alone:
+        return current, held_out
+    gain, least = current.bic - alone[0].bic, BIC_MARGIN
+    if built:  # from the same residual: it has no better claim than its evidence
+        gain, least = _evident(current) - _evident(alone[0]), 2.0 * EVIDENCE
+    if gain < least:
         return current, held_out
     less = empty if built else current
     step, ahead = _judged(laboratory, empty, less, alone[0], alone, held_out)
@@ -358,14 +363,14 @@ def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[R
 
 
 def _evident(fit: Fit) -> float:
-    """As the criterion of a fit, of a profile alone: its components have a prior, and cost what
-    their evidence says (Laplace). What was built from the same residual has no better claim."""
-    effect = fit.model.effects[0]
-    assert isinstance(effect, ProfileEffect)
-    first = len(fit.values) - effect.basis.shape[2]
-    known = np.linalg.inv(fit.covariance)[first:, first:]
-    cost = fit.values[first:] @ fit.values[first:] + np.linalg.slogdet(known)[1]
-    return fit.chi_squared + first * np.log(fit.effective_count) + float(cost)
+    """As the criterion of a fit, by its evidence (Laplace): a number costs by how much the data
+    narrow its prior. The criterion takes each component of a profile for a free number, and a place
+    that the data know to a thousandth of what it might be for one that costs no more."""
+    known = [p.anywhere for p in fit.model.parameters]
+    scale = np.array([p.scale for p in fit.model.parameters])
+    away = np.where(known, 0.0, fit.values / scale)
+    narrowed = -np.linalg.slogdet(fit.covariance / np.outer(scale, scale))[1]
+    return float(fit.chi_squared + away @ away + narrowed)
 
 
 def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
