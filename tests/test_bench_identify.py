@@ -224,7 +224,16 @@ def test_table_and_its_summary():
             "reason": "no equilibrium",
         },
     ]
+    for seed, place in ((5, 0.204), (6, 0.215)):
+        told = {"bend": (0.35, 0.04), "arc_length": (place, 0.004)}
+        bent = {key: {"value": v, "stderr": e} for key, (v, e) in told.items()}
+        effect = {"effects": [{"name": "local_bend", "parameters": bent}]}
+        truth = {"truth": {"local_bend": [[["bend"], [0.4]], [["arc_length"], [0.2]]]}}
+        own = {"set": "kink", "outcome": "right", "seed": seed}
+        rows.append(found | own | effect | truth)
     text = "\n".join(lines(rows) + summary(rows))
+    said = text.split("kink, 2 right, 1 within 1 cm and 15 %: places within 15.0 mm")[1]
+    assert "sizes within 12.5 %; 80 % intervals hold 3 of 4" in said
     assert "no equilibrium" in text
     assert "one effect              1 sets: right 1" in text
     assert "within 5 % in 1 of 1" in text

@@ -351,13 +351,15 @@ def sleeve(rng, rod):
 def magnet(rng, rod):
     """Something in the laboratory that draws the rod towards one point."""
     point = np.array([0.4, 0.0, 0.2]) + rng.uniform(-0.05, 0.05, 3)
-    strength = _between(rng, 0.4, 0.8) * rod.weight
+    strength = 2.25 * _between(rng, 0.4, 0.8) * rod.weight  # 0.1 m away [N/m]
 
     def force(q, t, s):
         away = point[:, None] - q
-        return strength * 0.15**2 * away / ((away**2).sum(axis=0) + 0.05**2) ** 1.5
+        return strength * 0.1**2 * away / ((away**2).sum(axis=0) + 0.05**2) ** 1.5
 
-    return Hidden(Experiment(drag=force), _vector("attraction", ("x", "y", "z"), point))
+    truth = _vector("attraction", ("x", "y", "z"), point)
+    truth["attraction"][("strength",)] = (strength,)
+    return Hidden(Experiment(drag=force), truth)
 
 
 def shaking_camera(rng, rod):

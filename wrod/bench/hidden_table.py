@@ -9,6 +9,8 @@ import numpy as np
 
 # A direction is right within the same 5 %, of a radian.
 WITHIN = 0.05
+# What is built is found where it is to so many m, and as large as it is to such a share.
+_LOCATED, _SIZED = 0.01, 0.15
 # Parameters of built effects that say where they are [m].
 _PLACES = {"arc_length", "start", "stop", "x", "y", "z"}
 # Standard errors either side of an 80 % interval.
@@ -243,10 +245,16 @@ def summary(rows: Sequence[dict]) -> list[str]:
             text.append(f"{'':21}     likeliest print near the truth in {sum(told)} of {len(told)}")
         named = [r for r in own if r["outcome"] == "right" and r["worst_error"] is not None]
         for name in BUILT:
-            if off := [located(r) for r in named if r["set"] == name]:
+            if mine := [r for r in named if r["set"] == name]:
+                off = [located(r) for r in mine]
+                near = sum(place <= _LOCATED and size <= _SIZED for place, size in off)
                 place, size = map(max, zip(*off, strict=True))
-                said = f"places within {1e3 * place:.1f} mm, sizes within {100 * size:.1f} %"
-                text.append(f"{'':21}     {name}, {len(off)} right: {said}")
+                inside, of = np.sum([held(r) for r in mine], axis=0)
+                text.append(
+                    f"{'':21}     {name}, {len(off)} right, {near} within {1e2 * _LOCATED:.0f} cm "
+                    f"and {1e2 * _SIZED:.0f} %: places within {1e3 * place:.1f} mm, sizes within "
+                    f"{1e2 * size:.1f} %; 80 % intervals hold {inside} of {of}"
+                )
         if named:
             close = sum(r["worst_error"] <= WITHIN for r in named)
             ratios = [r["after_mm"] / r["noise_floor_mm"] for r in named]
