@@ -16,7 +16,7 @@ from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.noise import NoiseModel, outliers_of, whiteners
 from wrod.identification.clamped.sensing import Prediction
 from wrod.identification.clamped.setup import ClampedSetup
-from wrod.identification.effect import Model
+from wrod.identification.effect import Effect, Model
 
 _SMALLEST_STEP = 1.0 / 64
 # Of the free length, RMS over the markers; 90 edges move rods by less than a tenth of it.
@@ -267,9 +267,9 @@ class Laboratory:
         self, model: Model, values, setup: ClampedSetup, prediction: Prediction, candidate: int
     ) -> np.ndarray:
         """(t, R) readings of one candidate, complex if the prediction is."""
-        position = model.measure(
-            prediction.position[candidate], prediction.frame[candidate], values, setup
-        )
+        position = prediction.position[candidate]
+        if any(type(e).measure is not Effect.measure for e in model.effects):
+            position = model.measure(position, prediction.frames[candidate](), values, setup)
         readings = [position.reshape(len(position), -1)]
         if self.measurements.grip_force is not None:
             readings += [prediction.force[candidate], prediction.torque[candidate]]

@@ -1,7 +1,8 @@
 """What markers and the wrist sensor see of a batch of clamped rods."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -16,14 +17,15 @@ class Prediction:
 
     Attributes:
         position: (C, T, M, 3) markers [m].
-        frame: (C, T, M, 3, 3) columns m1, m2, tangent there.
         force, torque: (C, T, 3) of the gripper on the rod, about its end [N], [N m].
+        frames: of each candidate that was observed what works out (T, M, 3, 3) columns m1, m2,
+            tangent at the markers; few effects of what cameras report look at them.
     """
 
     position: np.ndarray
-    frame: np.ndarray
     force: np.ndarray
     torque: np.ndarray
+    frames: dict[int, Callable[[], np.ndarray]]
 
 
 class View:
@@ -56,15 +58,15 @@ class View:
         markers = len(setups[0].marker_arc_length)
         result = Prediction(
             np.zeros((count, trials, markers, 3), dtype=complex),
-            np.zeros((count, trials, markers, 3, 3), dtype=complex),
             np.zeros((count, trials, 3), dtype=complex),
             np.zeros((count, trials, 3), dtype=complex),
+            {},
         )
         i = 1j * COMPLEX_STEP
         for c in range(count) if wanted is None else np.flatnonzero(wanted).tolist():
             rods, setup = slice(c * trials, (c + 1) * trials), setups[c]
             q = self.position[rods] + i * node_part(step[rods])
-            tangent, m1 = self._edge_frames(rods, step[rods], setup.principal_angle)
+            tangent = self._tangents(rods, step[rods])
             gradient = self.gradient[rods] + i * reaction_rate[rods]
             result.force[c] = gradient[:, -7:-4] + gradient[:, -3:]
             arm = q[:, -1] - q[:, -2]
@@ -76,19 +78,24 @@ class View:
             result.torque[c] = torque
             nodes, shares = _marker_shares(setup)
             result.position[c] = _at(q, nodes, shares)
-            result.frame[c] = _frames_at(tangent, m1, nodes, shares)
+            own = rods, step[rods], setup.principal_angle, tangent
+            result.frames[c] = partial(self._frames_at, *own, nodes, shares)
         return result
 
-    def _edge_frames(self, rods: slice, step: np.ndarray, principal: complex):
-        """(T, edge, 3) tangents and m1 of every edge, rates as imaginary parts."""
-        i, t, p = 1j * COMPLEX_STEP, self.tangent[rods], self.director[rods]
-        rate = np.diff(node_part(step), axis=1)
-        t_rate = (rate - np.sum(rate * t, axis=2, keepdims=True) * t) / self.length[rods]
-        angle, spin = -np.real(principal), step[:, 3::4] - np.imag(principal) / COMPLEX_STEP
+    def _tangents(self, rods: slice, step: np.ndarray) -> np.ndarray:
+        """(T, edge, 3) tangents of every edge, rates as imaginary parts."""
+        t, rate = self.tangent[rods], np.diff(node_part(step), axis=1)
+        across = rate - np.sum(rate * t, axis=2, keepdims=True) * t
+        return t + 1j * COMPLEX_STEP * across / self.length[rods]
+
+    def _frames_at(self, rods, step, principal: complex, tangent, nodes, shares) -> np.ndarray:
+        """(T, M, 3, 3) frames at the markers, rates as imaginary parts."""
+        t, t_rate, p = np.real(tangent), np.imag(tangent), self.director[rods]
+        angle, spin = -np.real(principal), COMPLEX_STEP * step[:, 3::4] - np.imag(principal)
         m1 = np.cos(angle) * p[:, :, 0] + np.sin(angle) * p[:, :, 1]
         m2 = np.cos(angle) * p[:, :, 1] - np.sin(angle) * p[:, :, 0]
         m1_rate = spin[..., None] * m2 - np.sum(t_rate * m1, axis=2, keepdims=True) * t
-        return t + i * t_rate, m1 + i * m1_rate
+        return _frames_at(tangent, m1 + 1j * m1_rate, nodes, shares)
 
 
 def _marker_shares(setup: ClampedSetup) -> tuple[np.ndarray, np.ndarray]:
