@@ -7,6 +7,7 @@ import pytest
 
 from wrod.identification.motion.loading import motion_from_arrays
 from wrod.identification.motion.report import identify_motion
+from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.tension import base_setup
 from wrod.identification.template import motion_example
 from wrod.rods.material import RodMaterial
@@ -38,6 +39,20 @@ def test_measured_lengths_are_those_of_the_rod_and_what_its_tension_adds(gravito
     assert 5e-4 < longer < 2e-2
     assert setup.mean_length.sum() - setup.rest_length.sum() == pytest.approx(longer, rel=0.05)
     np.testing.assert_array_equal(setup.mean_tension[:, [0, -1]], 0.0)
+
+
+@pytest.mark.parametrize("pieces", [1, 4])
+@pytest.mark.parametrize("inside", [(0.0, 0.0), (0.008, 0.002), (-0.012, -0.015)])
+def test_as_much_bends_at_the_grips_on_every_mesh(inside, pieces):
+    """Where a grip reaches out over more than half an edge, edges beyond are rigid, too: half an
+    edge less the reach had been a negative stiffness."""
+    setup = MotionSetup.base(np.full(6 * pieces + 2, 0.04 / pieces), pieces, 9.81)
+    setup.clamp_length = np.array(inside) + 1e-20j
+    compliance = setup.bending[0, 0] / setup.arrays()["stiffness"][1:-1, 0]
+    bends = compliance @ setup.node_length[1:-1]
+    assert (compliance.real > 0.0).all()
+    assert bends.real == pytest.approx(0.24 + sum(inside), abs=1e-3)
+    assert bends.imag == pytest.approx(2e-20)
 
 
 @pytest.mark.slow

@@ -15,6 +15,8 @@ START_L_GB = 0.2
 # Radius over gravito-bending length of the USB cable of the paper's Table 2.
 SLENDER = 0.0018 / 0.0801
 _POISSON = 0.5
+# Share of its cell by which a node bends that is within a rigid stretch.
+_RIGID = 1e-2
 
 
 @dataclass
@@ -33,7 +35,8 @@ class MotionSetup(RodSetup):
         quadratic_drag: (n + 1,) force per mass and velocity squared [1/m].
         viscous_time: (n + 1, 3) Kelvin-Voigt time of bending (two directions) and twisting [s]; the
             moment that softens is that of the strain and its rate times it.
-        clamp_length: (2,) length inside each grip that still bends [m].
+        clamp_length: (2,) length inside each grip that still bends [m]; negative: of the free
+            length, that does not.
         marker_offset: (M, 3) of every marker from the centreline, components along (m1, m2, t) [m].
         roll: (2,) angle of the material frame against each grip's frame [rad].
         held_turn: (2, 2) turn of the centreline against the line through a grip's markers, about
@@ -108,15 +111,28 @@ class MotionSetup(RodSetup):
         """(n + 1,) rest length that belongs to each node [m]."""
         return cells(self.rest_length)
 
+    def _bending_cells(self) -> np.ndarray:
+        """(n + 1,) what bends of each node's cell [m]: a grip's node has all inside the grip."""
+        edge = self.rest_length.astype(complex)
+        node = np.concatenate([[0.0], np.cumsum(edge)]) - edge[0]
+        middle = 0.5 * (node[1:] + node[:-1])
+        start, end = -self.clamp_length[0], node[-2] + self.clamp_length[1]
+        first, last = np.r_[start, start, middle[1:]], np.r_[middle[:-1], end, end]
+        # Ends are compared by their real parts: derivatives are of those that bound.
+        return np.where(last.real > np.real(end), end, last) - np.where(
+            first.real < np.real(start), start, first
+        )
+
     def arrays(self) -> dict[str, np.ndarray]:
         """What the kernels take, complex if the setup is, in the principal frame of bending.
 
-        At a grip's node only the free half of the neighbouring edge and `clamp_length` bend.
+        Only what of a node's cell is in the free length, or `clamp_length` beyond it, bends; where
+        that is negative, the rod is rigid so far from the grip's inner marker.
         """
         length = self.node_length
-        share = np.ones(len(length), dtype=complex)
-        for end, (node, edge) in enumerate(((1, 1), (-2, -2))):
-            share[node] = (0.5 * self.rest_length[edge] + self.clamp_length[end]) / length[node]
+        share = (self._bending_cells() / length).astype(complex)
+        share[share.real < _RIGID] = _RIGID
+        share[[0, -1]] = 1.0
         mass = self.line_mass * length + self.node_mass
         angle, offset = self.principal_angle, self.marker_offset
         here = self.on_mesh(self.rest_length, share)
