@@ -1,7 +1,7 @@
 """What is found in measurements is the rod that is planned with, and all of it."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,11 @@ from click.testing import CliRunner
 import wrod
 from wrod.bench.loop_trials import own_bend
 from wrod.commands import main
-from wrod.errors import DataError
+from wrod.errors import DataError, RodError, WrodWarning
 from wrod.identification.effect import Model, effects
-from wrod.identification.found_rod import found_rod, rod_of
+from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.motion.setup import MotionSetup
+from wrod.identification.report import Report
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
@@ -58,10 +59,33 @@ def test_what_came_out_as_nothing_is_not_said_to_be_set_aside():
     assert found("air_damping", 0.0)[0].set_aside == ()
 
 
+def test_what_is_no_rod_costs_the_model_and_not_the_report(tmp_path):
+    """Its evidence is written all the same, and says why there is no model.json."""
+    what, _ = found("twist_stiffness", -1e4)
+
+    @dataclass(frozen=True, kw_only=True)
+    class Bare(Report):
+        found: FoundRod
+
+        def to_dict(self):
+            return self.head("bare", "cable", "none")
+
+    numbers = {"before": 2.0, "after": 1.0, "noise_floor": 0.1}
+    told = {"verdict": "unexplained", "reason": "", "measurements": None, "effects": ()}
+    report = Bare(found=what, candidates=(), **told, **numbers)
+    with pytest.warns(WrodWarning, match=r"model\.json: not written; what was fitted is no rod:"):
+        written = report.written(tmp_path, lambda path, report: path)
+    assert [path.name for path in written] == ["report.json", "report.html"]
+    said = json.loads((tmp_path / "report.json").read_text())["no_model"]
+    assert "twisting_stiffness falls to 0; it must be positive" in said
+    with pytest.raises(RodError, match="it must be positive"):
+        report.model.material()
+
+
 def test_a_cable_is_planned_with_what_was_found(tmp_path):
     what, _ = found("natural_curvature_profile")
     rod = replace(what.rod, internal_damping=0.05, quadratic_drag=0.3)
-    saved = replace(what, rod=rod).save(tmp_path / "model.json")
+    (saved,) = replace(what, fitted=rod).save(tmp_path / "model.json")
     pattern = own_bend(rod)
     path = wrod.plan(pattern, wrod.load_rod(saved), spacing=0.05)
     assert path.rod == rod

@@ -5,6 +5,7 @@ and so in the rod. Effects that leave the rod as it is (cameras, clamps, grips, 
 a draught) belong to the set-up of the measurement and are set aside, by name.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
+from wrod.errors import RodError, WrodWarning
 from wrod.identification.effect import Model
 from wrod.identification.setup import RodSetup
 from wrod.rods.law import BendingLaw, Linear, Softening
@@ -28,22 +30,39 @@ class FoundRod:
     """A rod, and what it took to find it.
 
     Attributes:
-        rod: with everything that belongs to it.
+        fitted: the rod with everything that belongs to it; None where no rod can be so.
         set_aside: names of the effects that belong to the set-up of the measurement.
         assumed: names of the rod's numbers that nobody measured.
         effects: every effect's raw parameters, by name.
+        refused: why no rod can be so.
     """
 
-    rod: RodModel
+    fitted: RodModel | None
     set_aside: tuple[str, ...]
     assumed: tuple[str, ...]
     effects: dict[str, dict[str, float]]
+    refused: str = ""
 
-    def save(self, path: Path) -> Path:
-        """Write `model.json`, which `wrod.load_rod` reads."""
+    @property
+    def rod(self) -> RodModel:
+        """The rod with everything that belongs to it.
+
+        Raises:
+            RodError: what was fitted is none.
+        """
+        if self.fitted is None:
+            raise RodError(self.refused)
+        return self.fitted
+
+    def save(self, path: Path) -> list[Path]:
+        """Write `model.json`, which `wrod.load_rod` reads; nothing, with a `WrodWarning`, where no
+        rod can be as fitted."""
+        if self.fitted is None:
+            warnings.warn(f"{path}: not written; {self.refused}", WrodWarning, stacklevel=4)
+            return []
         effects = [{"name": n, "parameters": p} for n, p in self.effects.items()]
         found = {"effects": effects, "set_aside": list(self.set_aside)}
-        return save_rod(self.rod, path, assumed=self.assumed, found=found)
+        return [save_rod(self.fitted, path, assumed=self.assumed, found=found)]
 
 
 def found_rod(
@@ -60,12 +79,18 @@ def found_rod(
     """
     plain = read(base)
     parts = list(zip(model.effects, model.split(values), strict=True))
-    # Of what came out as nothing there is nothing to set aside.
-    aside = [e.name for e, v in parts if np.any(v) and read(Model((e,)).setup(base, v)) == plain]
     effects = {
         e.name: dict(zip((p.key for p in e.parameters), v.tolist(), strict=True)) for e, v in parts
     }
-    return FoundRod(read(model.setup(base, values)), tuple(aside), assumed, effects)
+    try:
+        rod = read(model.setup(base, values))
+        # Of what came out as nothing there is nothing to set aside.
+        aside = tuple(
+            e.name for e, v in parts if np.any(v) and read(Model((e,)).setup(base, v)) == plain
+        )
+    except RodError as error:  # the evidence stands all the same
+        return FoundRod(None, (), assumed, effects, f"what was fitted is no rod: {error}")
+    return FoundRod(rod, aside, assumed, effects)
 
 
 def rod_of(

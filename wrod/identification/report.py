@@ -126,6 +126,7 @@ class Report(Finding):
             "effects": [e.to_dict() for e in self.effects],
             "candidates": list(self.candidates),
             "set_aside": list(self.found.set_aside),
+            "no_model": self.found.refused or None,
         }
 
     def to_dict(self) -> dict:
@@ -133,12 +134,13 @@ class Report(Finding):
         raise NotImplementedError
 
     def written(self, out: str | os.PathLike[str], page: Callable[[Path, Any], Path]) -> list[Path]:
-        """Write report.json, report.html by `page`, and model.json into a folder."""
+        """Write report.json, report.html by `page`, and, of what can be a rod, model.json into a
+        folder."""
         out = Path(out)
         return [
             write_json(out / "report.json", self.to_dict(), allow_nan=False),
             page(out / "report.html", self),
-            self.found.save(out / "model.json"),
+            *self.found.save(out / "model.json"),
         ]
 
 

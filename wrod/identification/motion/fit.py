@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wrod.errors import RodError
 from wrod.identification.effect import Model
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.remembered import Remembered
@@ -304,7 +305,10 @@ class MotionLaboratory:
         )
         for _ in range(_TRIALS):
             trial = np.clip(values + _newton(now, damping, inside), lower, upper)
-            cost = self.cost(windows, model, trial)
+            try:
+                cost = self.cost(windows, model, trial)
+            except RodError:  # no rod can be so
+                cost = np.inf
             if cost < now.cost:
                 step = trial - values
                 promised = -(now.gradient @ step + 0.5 * step @ now.hessian @ step)
