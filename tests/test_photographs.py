@@ -126,6 +126,11 @@ def test_a_rod_hung_over_the_pattern_meanders_only_if_there_is_too_much_of_it():
     scenarios = [Scenario(0.5, curvature=2.0, excess=excess) for excess in (-0.005, 0.02)]
     little, much = lay(pattern, rod, plan, scenarios, speed=0.03)
     assert little.reached and much.reached
+    # Where it comes to lie does not hang on what is laid together with it.
+    (alone,) = lay(pattern, rod, plan, scenarios[1:], speed=0.03)
+    (by_itself,) = lay(pattern, rod, plan, scenarios[:1], speed=0.03)
+    assert np.abs(alone.nodes - much.nodes).max() < 1e-9
+    assert np.abs(by_itself.nodes - little.nodes).max() < 1e-9
 
     def swing(laid):
         on = (laid.nodes[:, 2] < 3e-3) & (np.abs(laid.nodes[:, 0] - 0.3) < 0.09)

@@ -14,7 +14,13 @@ from wrod.files import write_figure
 from wrod.identification.laid.camera import OverheadCamera
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.placement import Alignment, rigid
-from wrod.identification.laid.scenario import HELD, LaidRod, Scenario, plan_without_lead_in
+from wrod.identification.laid.scenario import (
+    HELD,
+    LaidRod,
+    Scenario,
+    own_mesh,
+    plan_without_lead_in,
+)
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.catalogue import rod as preset
@@ -215,13 +221,15 @@ def _laid_together(every: list[Mechanism]) -> list[list[Mechanism]]:
 
 def _lay(photograph, group: list[Mechanism], mesh: Discretisation, device: str) -> list[LaidRod]:
     fast, trials = min(_FAST_STEP, mesh.step), []
+    believed = preset(photograph.rod)
     for one in group:
-        path = one.path(photograph, preset(photograph.rod))
+        path = one.path(photograph, believed)
         mu = one.scenario.friction
         law = Friction(mu, one.kinetic * mu, rolling=one.rolling)
         rod = one.rod(photograph.rod)
         trial = Trial(photograph.pattern, rod, path, law, tail=Tail.none(path), another_rod=True)
         trials.append(trial)
+    mesh = own_mesh(mesh, photograph.pattern, believed, path)
     laid = simulate_deployments(
         trials,
         hold=HELD if group[0].scenario.held else 0.0,

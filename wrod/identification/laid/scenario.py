@@ -13,7 +13,7 @@ import numpy as np
 
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.plan import plan
-from wrod.deployment.simulate import Trial, simulate_deployments
+from wrod.deployment.simulate import Trial, nodes_needed, simulate_deployments
 from wrod.errors import DataError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
@@ -97,6 +97,17 @@ def plan_without_lead_in(pattern: Pattern, rod: RodMaterial, method: str, **opti
     return plan(pattern, rod, method=method, remainder=False, **options)
 
 
+def own_mesh(
+    mesh: Discretisation, pattern: Pattern, believed: RodMaterial, trajectory: Trajectory
+) -> Discretisation:
+    """With as many nodes as the believed rod needs, whatever it is laid together with: where a rod
+    comes to lie hangs on its mesh."""
+    if mesh.node_count is not None:
+        return mesh
+    trial = Trial(pattern, believed, trajectory, Friction(0.0))
+    return replace(mesh, node_count=nodes_needed([trial], mesh.spacing, mesh.laid))
+
+
 def lay(
     pattern: Pattern,
     believed: RodMaterial,
@@ -134,7 +145,7 @@ def lay(
     laid = simulate_deployments(
         trials,
         hold=HELD if scenarios[0].held else 0.0,
-        discretisation=discretisation,
+        discretisation=own_mesh(discretisation, pattern, believed, trajectory),
         speed=speed,
         device=device,
         threads=threads,
