@@ -111,7 +111,7 @@ def command(
     figures["written"] = [str(path) for path in (*written, summary, laid.path)]
     lines = [left_out_table(verdicts)]
     if not short:
-        lines += [figures[part]["text"] for part in ("table3", "plans", "waves")]
+        lines += [figures[part]["text"] for part in ("table3", "plans", "mode", "waves")]
         practice = figures["predictions"]["practice"]
         lines.append(f"practice (green VPS, letter L, optimal path): {practice}")
     tell(figures, *lines)
@@ -119,6 +119,7 @@ def command(
 
 def _add_predictions(figures: dict, out: Path, photographs, verdicts, laid, data: Path) -> list:
     """What the scenarios that were found foretell, added to the figures; the files written."""
+    from wrod.bench.photographs_mode import modes
     from wrod.bench.photographs_plans import plans_in_scenarios_found
     from wrod.bench.photographs_report import draw, draw_lines, write_predictions
     from wrod.bench.photographs_table3 import table3
@@ -128,6 +129,8 @@ def _add_predictions(figures: dict, out: Path, photographs, verdicts, laid, data
     figures["table3"] = table3(photographs, laid)
     written = [*files, *draw(out, photographs, verdicts)]
     written += draw_lines(out, photographs, verdicts, laid)
+    figures["mode"], files = modes(photographs, out)
+    written += files
     figures["waves"], files = waves(photographs, verdicts, laid, out)
     figures["plans"] = plans_in_scenarios_found(photographs, verdicts, laid)  # the dearest
     return [*written, *files]

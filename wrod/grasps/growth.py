@@ -17,7 +17,18 @@ _CLAMP = 7
 
 
 def growth(batch: RodBatch) -> np.ndarray:
-    """(rod,) the largest real part of M's eigenvalues [1/length]; nan where it is not finite.
+    """(rod,) the largest real part of the eigenvalues of `departures` [1/length]; nan where they
+    are not finite."""
+    rates = departures(batch)
+    known = np.isfinite(rates).all(axis=(1, 2))
+    out = np.full(batch.rod_count, np.nan)
+    out[known] = np.linalg.eigvals(rates[known]).real.max(axis=1)
+    return out
+
+
+def departures(batch: RodBatch) -> np.ndarray:
+    """(rod, 3, 3) M of d' = M d over the laid length [1/length], d a contact's departure (to the
+    left [length], in direction and in roll [rad]).
 
     Departures along the rod are left out. On a straight pattern they change no curvature or twist
     at the contact to first order, nor does it that the contact moves along.
@@ -49,7 +60,4 @@ def growth(batch: RodBatch) -> np.ndarray:
     before = (clamp[:, :, 5] - clamp[:, :, 1]) / behind[:, None]
     rates[:, 1] = ((x[:, :, 9] - clamp[:, :, 5]) / first[:, None] - before) / half
     rates[:, 2] = (x[:, :, 7] - clamp[:, :, 3]) / half
-    known = np.isfinite(rates).all(axis=(1, 2))
-    out = np.full(batch.rod_count, np.nan)
-    out[known] = np.linalg.eigvals(rates[known]).real.max(axis=1)
-    return out
+    return rates
