@@ -230,7 +230,7 @@ def _row(name: str, seen: SeenWave) -> dict:
         "seen": [seen.rate, seen.wavelength, seen.amplitude],
         "allowed": [seen.allowed.min(axis=0).tolist(), seen.allowed.max(axis=0).tolist()],
         "left": [seen.left, seen.slope_left],
-        "aside": seen.amplitude / float(gain(found[usual], [seen.wavelength])[0]),
+        "aside": seen.amplitude / float(gain(found[usual], np.array([seen.wavelength]))[0]),
         "bent": seen.amplitude / float(bend(batch, found, seen.wavelength)[usual]),
         # Bending stiffness times the fourth derivative, over the weight per length.
         "friction": 2.0 * lgb**3 * seen.amplitude * (2.0 * np.pi / seen.wavelength) ** 4,
