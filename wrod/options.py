@@ -1,9 +1,11 @@
-"""Options of commands: as fields of a dataclass, declared once and handed on as one argument."""
+"""Options of commands, declared once: as defaults of a command's own arguments, or as fields of a
+dataclass that is handed on as one argument."""
 
 import functools
+import inspect
 import typing
-from collections.abc import Callable
-from dataclasses import MISSING, field, fields
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, field, fields
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -13,9 +15,15 @@ from click.core import ParameterSource
 
 from wrod.errors import DataError
 
+# Types of options: a folder that may be new, one that is there, and a file that may be new.
+FOLDER = click.Path(file_okay=False, path_type=Path)
+SOURCE_FOLDER = click.Path(file_okay=False, exists=True, path_type=Path)
+FILE = click.Path(dir_okay=False, path_type=Path)
+
 
 def option(said: str | None, *flags: str, left_out: Any = MISSING, **how: Any) -> Any:
-    """A field that `gathered` makes an option of; its name and annotation tell flag and type.
+    """A field that `gathered`, or an argument that `own_options`, makes an option of; its name and
+    annotation tell flag and type.
 
     Args:
         said: the option's help.
@@ -24,6 +32,15 @@ def option(said: str | None, *flags: str, left_out: Any = MISSING, **how: Any) -
         how: further arguments of `click.option`.
     """
     return field(default=left_out, metadata={"flags": flags, "how": {"help": said, **how}})
+
+
+def own_options(command: Callable) -> Callable:
+    """Decorator that adds the options which are defaults of a command's arguments."""
+    hints = typing.get_type_hints(command)
+    for name, argument in reversed(list(inspect.signature(command).parameters.items())):
+        if isinstance(argument.default, Field):
+            command = _option(name, hints[name], argument.default.metadata)(command)
+    return command
 
 
 def gathered(name: str, kind: type, *groups: tuple[str, ...], **defaults: Any) -> Callable:
@@ -39,30 +56,28 @@ def gathered(name: str, kind: type, *groups: tuple[str, ...], **defaults: Any) -
             values[name] = kind(**{key: values.pop(key) for key in names})
             return function(*args, **values)
 
+        hints = typing.get_type_hints(kind)
+        known = {one.name: one.metadata for one in fields(kind)}
         for one in reversed(names):
-            run = _option(kind, one, defaults)(run)
+            default = {"default": defaults[one]} if one in defaults else {}
+            run = _option(one, hints[one], known[one], **default)(run)
         return run
 
     return add
 
 
-def _option(kind: type, name: str, defaults: dict[str, Any]) -> Callable:
-    """What adds the option of one field to a command."""
-    (metadata,) = (one.metadata for one in fields(kind) if one.name == name)
-    flags, how = metadata["flags"], dict(metadata["how"])
-    if name in defaults:
-        how["default"] = defaults[name]
-    hint = typing.get_type_hints(kind)[name]
-    (first, *_) = [one for one in typing.get_args(hint) or (hint,) if one is not NoneType]
+def _option(name: str, hint: Any, metadata: Mapping[str, Any], **own: Any) -> Callable:
+    """What adds the option of a field or an argument to a command; `own` overrides what it says."""
+    flags, how = metadata["flags"], metadata["how"] | own
+    (first, *more) = [one for one in typing.get_args(hint) or (hint,) if one is not NoneType]
     usual: dict[str, Any] = {}
-    if typing.get_origin(hint) is tuple:
-        usual["multiple"] = True
-    elif first is bool:
+    if first is bool:
         usual["is_flag"] = True
     elif how.get("default") is not None:
         usual["show_default"] = True
     else:
         usual["type"] = click.Path(path_type=Path) if first is Path else first
+        usual["multiple"] = more == [...]
     return click.option(*(flags or (f"--{name.replace('_', '-')}",)), name, **usual | how)
 
 

@@ -9,49 +9,31 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.options import FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
 CASES = ("S cable", "U cable", "trefoil", "reef")
 
 
 @click.command(name="applications")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--trials", default=10, show_default=True, help="Trials of each method.")
-@click.option(
-    "--first", default=0, show_default=True, help="Number of the first trial, the seed of its luck."
-)
-@click.option(
-    "--case",
-    "chosen",
-    multiple=True,
-    type=click.Choice(CASES),
-    help="Only this application; may be given again.",
-)
-@click.option("--batch", type=int, help="Trials simulated at once; default: 5, CUDA all.")
-@click.option(
-    "--method",
-    "asked",
-    multiple=True,
-    type=click.Choice(["INT", "OPT"]),
-    help="Only this method; default: both.",
-)
-@click.option(
-    "--usd",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Write every trial run now as a scene with both arms into this folder.",
-)
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@own_options
 @cost.force_option
 @json_option
 def command(
-    out: Path,
-    trials: int,
-    first: int,
-    chosen: tuple[str, ...],
-    asked: tuple[str, ...],
-    batch: int | None,
-    usd: Path | None,
-    device: str,
+    out: Path = option(None, type=FOLDER, required=True),
+    trials: int = option("Trials of each method.", default=10),
+    first: int = option("Number of the first trial, the seed of its luck.", default=0),
+    chosen: tuple[str, ...] = option(
+        "Only this application; may be given again.", "--case", type=click.Choice(CASES)
+    ),
+    batch: int | None = option("Trials simulated at once; default: 5, CUDA all."),
+    asked: tuple[str, ...] = option(
+        "Only this method; default: both.", "--method", type=click.Choice(["INT", "OPT"])
+    ),
+    usd: Path | None = option(
+        "Write every trial run now as a scene with both arms into this folder.", type=FOLDER
+    ),
+    device: str = option("cpu, cuda:0 or auto.", default="auto"),
 ) -> None:
     """The paper's success table: cable placement along S and U, trefoil and reef knot, {INT, OPT} x
     ten trials.

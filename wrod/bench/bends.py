@@ -5,21 +5,20 @@ import time
 import click
 
 from wrod import cost
+from wrod.options import option, own_options
 from wrod.telling import json_option, tell
 
 
 @click.command(name="bends")
-@click.option(
-    "--friction", "frictions", default="0.1,0.4,0.8", show_default=True, help="Of rod on rod."
-)
-@click.option("--load", default=0.5, show_default=True, help="Pull of both hands [N].")
-@click.option("--rods", default="green-vps,pink-vps-thick", show_default=True, help="Two presets.")
-@click.option("--only", multiple=True, help="Only this bend; may be given again.")
-@click.option(
-    "--out", default=None, type=click.Path(dir_okay=False), help="Write a picture to this PNG file."
-)
+@own_options
 @json_option
-def command(frictions: str, load: float, rods: str, only: tuple, out: str | None) -> None:
+def command(
+    frictions: str = option("Of rod on rod.", "--friction", default="0.1,0.4,0.8"),
+    load: float = option("Pull of both hands [N].", default=0.5),
+    rods: str = option("Two presets.", default="green-vps,pink-vps-thick"),
+    only: tuple[str, ...] = option("Only this bend; may be given again."),
+    out: str | None = option("Write a picture to this PNG file.", type=click.Path(dir_okay=False)),
+) -> None:
     """Pull ready-made reef and granny knots of two rods, and rods that are not tied, as `wrod bench
     applications` pulls its knots: up to a load that is kept up.
     A minute or two of CPU each."""

@@ -10,6 +10,7 @@ import click
 from wrod import cost, side_by_side
 from wrod.files.ledger import Ledger
 from wrod.files.row_schemas import FoldRow
+from wrod.options import FOLDER, SOURCE_FOLDER, option, own_options
 from wrod.telling import asked, json_option, tell
 
 
@@ -134,30 +135,23 @@ def _work(paths, jobs, workers: int) -> cost.Cost:
 
 
 @click.command(name="cables")
-@click.option(
-    "--data",
-    "folder",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    required=True,
-    help="Folder of recordings of rods in motion (.npz), one file a rod.",
-)
-@click.option("--folds", "number", default=7, show_default=True)
-@click.option("--contiguous", is_flag=True, help="Folds of neighbours, not every n-th recording.")
-@click.option("--workers", default=1, show_default=True)
-@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Keep the folds that have ended (folds.jsonl) and the figures (cables.json) here.",
-)
+@own_options
 @json_option
 def command(
-    folder: Path,
-    number: int,
-    contiguous: bool,
-    workers: int,
-    device: str,
-    out: Path | None,
+    folder: Path = option(
+        "Folder of recordings of rods in motion (.npz), one file a rod.",
+        "--data",
+        type=SOURCE_FOLDER,
+        required=True,
+    ),
+    number: int = option(None, "--folds", default=7),
+    contiguous: bool = option("Folds of neighbours, not every n-th recording."),
+    workers: int = option(None, default=1),
+    device: str = option("cpu, cuda:0 or auto.", default="cpu"),
+    out: Path | None = option(
+        "Keep the folds that have ended (folds.jsonl) and the figures (cables.json) here.",
+        type=FOLDER,
+    ),
 ) -> None:
     """Cross-validate `wrod identify` on recordings of rods in motion.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.options import option, own_options
 from wrod.telling import json_option, tell
 
 NODES = 200  # of the trajectory that is timed: the paper's rods at 4 mm
@@ -20,11 +21,14 @@ _COLD = (
 
 @click.command(name="controller")
 @click.argument("weights", nargs=-1, type=click.Path(dir_okay=False, path_type=Path))
-@click.option("--count", default=2000, show_default=True)
-@click.option("--seed", default=1, show_default=True)
-@click.option("--device", default="auto", show_default=True, help="Of the numeric solver.")
+@own_options
 @json_option
-def command(weights: tuple[Path, ...], count: int, seed: int, device: str) -> None:
+def command(
+    weights: tuple[Path, ...],
+    count: int = option(None, default=2000),
+    seed: int = option(None, default=1),
+    device: str = option("Of the numeric solver.", default="auto"),
+) -> None:
     """Compare controllers with the numeric solver on the same random inputs.
 
     WEIGHTS are controller files; without any, those that ship. The inputs cover the whole

@@ -16,6 +16,7 @@ from wrod import cost
 from wrod.errors import DataError, RodError
 from wrod.files.reading import MAX_JSON, read_text, refuse_depth
 from wrod.files.row_schemas import CosseratRows
+from wrod.options import option, own_options
 from wrod.telling import asked, json_option
 
 _METRICS = {
@@ -31,19 +32,32 @@ _SOLVERS = ("wrod", "pyelastica", "newton-vbd", "mujoco", "dismech", "dismech-ne
 
 
 @click.command("cosserat")
-@click.option("--experiment", "chosen", multiple=True, type=click.Choice(list(_METRICS)),
-              help="Only this one; may be repeated. Default: all.")  # fmt: skip
-@click.option("--solver", "solvers", multiple=True, type=click.Choice(_SOLVERS),
-              help="Only this one; may be repeated. Default: all that are installed.")  # fmt: skip
-@click.option("--elements", multiple=True, type=int,
-              help="Elements of each rod; may be repeated. Default: the experiment's.")  # fmt: skip
-@click.option("--longer", default=1.0, show_default=True,
-              help="Take so many times as long: what is judged at rest may move.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for a picture of all.")
-@click.option("--with", "others", multiple=True, type=click.Path(exists=True, path_type=Path),
-              help="Rows of another run's --json to draw too; may be repeated.")  # fmt: skip
+@own_options
 @json_option
-def command(chosen, solvers, elements, longer, out, others) -> None:
+def command(
+    chosen: tuple[str, ...] = option(
+        "Only this one; may be repeated. Default: all.",
+        "--experiment",
+        type=click.Choice(list(_METRICS)),
+    ),
+    solvers: tuple[str, ...] = option(
+        "Only this one; may be repeated. Default: all that are installed.",
+        "--solver",
+        type=click.Choice(_SOLVERS),
+    ),
+    elements: tuple[int, ...] = option(
+        "Elements of each rod; may be repeated. Default: the experiment's."
+    ),
+    longer: float = option(
+        "Take so many times as long: what is judged at rest may move.", default=1.0
+    ),
+    out: Path | None = option("Folder for a picture of all."),
+    others: tuple[Path, ...] = option(
+        "Rows of another run's --json to draw too; may be repeated.",
+        "--with",
+        type=click.Path(exists=True, path_type=Path),
+    ),
+) -> None:
     """Experiments of cosseratbench: error and time, side by side.
 
     Each is scored by cosseratbench's own metrics, in one run on one machine; times are

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import click
 
 from wrod import cost
+from wrod.options import option, own_options
 from wrod.telling import json_option, tell
 
 # What is halved in each study of convergence, and where it begins.
@@ -19,17 +20,15 @@ STUDIES = {
 
 
 @click.command(name="deploy")
-@click.option("--pattern", "name", default="letter-U", show_default=True, help="Pattern.")
-@click.option("--rod", "rod_name", default="green-vps", show_default=True, help="Rod.")
-@click.option("--friction", default=0.6, show_default=True, help="Friction coefficient.")
-@click.option("--batch", default=8, show_default=True, help="Rods of the batch that is timed.")
-@click.option(
-    "--levels", default=3, show_default=True, help="Meshes and steps, each half the last."
-)
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@own_options
 @json_option
 def command(
-    name: str, rod_name: str, friction: float, batch: int, levels: int, device: str
+    name: str = option("Pattern.", "--pattern", default="letter-U"),
+    rod_name: str = option("Rod.", "--rod", default="green-vps"),
+    friction: float = option("Friction coefficient.", default=0.6),
+    batch: int = option("Rods of the batch that is timed.", default=8),
+    levels: int = option("Meshes and steps, each half the last.", default=3),
+    device: str = option("cpu, cuda:0 or auto.", default="auto"),
 ) -> None:
     """Time one deployment and a batch on one thread; halve edges, steps of second and of first
     order, both, and speed."""

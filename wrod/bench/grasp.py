@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from wrod import cost
-from wrod.options import refuse_idle_options
+from wrod.options import SOURCE_FOLDER, option, own_options, refuse_idle_options
 from wrod.telling import asked, json_option, tell
 
 # Calls of which the middle one counts.
@@ -16,43 +16,30 @@ _CALLS = 3
 
 
 @click.command(name="grasp")
-@click.option("--count", default=512, show_default=True, help="Grasps in the main measurement.")
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--threads", default=1, show_default=True, help="CPU threads.")
-@click.option(
-    "--against",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder of another checkout of wrod: its grasps per second beside this one's, medians of "
-    "five calls in turn.",
-)
-@click.option(
-    "--counts",
-    help="--against: grasps a call, separated by commas. Default: 4096,65536,1048576, on a CPU "
-    "256,1024.",
-)
-@click.option(
-    "--patience",
-    default=60.0,
-    show_default=True,
-    help="--against: take fewer calls of what needs longer than this for five [s].",
-)
-@click.option(
-    "--closure",
-    "closures",
-    multiple=True,
-    type=click.Choice(["zero_tension", "min_force", "min_friction"]),
-    help="--against: this closure; may be given several times. Default: all.",
-)
+@own_options
 @cost.force_option
 @json_option
 def command(
-    count: int,
-    device: str,
-    threads: int,
-    against: Path | None,
-    counts: str | None,
-    patience: float,
-    closures: tuple[str, ...],
+    count: int = option("Grasps in the main measurement.", default=512),
+    device: str = option("cpu, cuda:0 or auto.", default="auto"),
+    threads: int = option("CPU threads.", default=1),
+    against: Path | None = option(
+        "Folder of another checkout of wrod: its grasps per second beside this one's, medians of "
+        "five calls in turn.",
+        type=SOURCE_FOLDER,
+    ),
+    counts: str | None = option(
+        "--against: grasps a call, separated by commas. Default: 4096,65536,1048576, on a CPU "
+        "256,1024."
+    ),
+    patience: float = option(
+        "--against: take fewer calls of what needs longer than this for five [s].", default=60.0
+    ),
+    closures: tuple[str, ...] = option(
+        "--against: this closure; may be given several times. Default: all.",
+        "--closure",
+        type=click.Choice(["zero_tension", "min_force", "min_friction"]),
+    ),
 ) -> None:
     """Cold starts over l_s 1..50, |kappa| 0..3.5, k_s 150..15000."""
     import warp as wp

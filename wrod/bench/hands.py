@@ -8,7 +8,7 @@ import click
 import numpy as np
 
 from wrod import cost
-from wrod.options import refuse_idle_options
+from wrod.options import FOLDER, SOURCE_FOLDER, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
 CABLES = ("black-short", "orange-long")
@@ -21,18 +21,19 @@ _EIGHTY = 1.2816
 
 
 @click.command(name="hands")
-@click.option(
-    "--data",
-    required=True,
-    type=click.Path(file_okay=False, exists=True, path_type=Path),
-    help="Folder with folders `swing` (SET-static.npz) and `hanging` (CABLE-hanging.npz, poses).",
-)
-@click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--folds", default=4, show_default=True, help="Folds of angles left out.")
-@click.option("--quick", is_flag=True, help="One cable, no folds, no predictions.")
-@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@own_options
 @json_option
-def command(data: Path, out: Path, folds: int, quick: bool, device: str) -> None:
+def command(
+    data: Path = option(
+        "Folder with folders `swing` (SET-static.npz) and `hanging` (CABLE-hanging.npz, poses).",
+        required=True,
+        type=SOURCE_FOLDER,
+    ),
+    out: Path = option(None, required=True, type=FOLDER),
+    folds: int = option("Folds of angles left out.", default=4),
+    quick: bool = option("One cable, no folds, no predictions."),
+    device: str = option("cpu, cuda:0 or auto.", default="cpu"),
+) -> None:
     """Explain where cables hang at each angle of the hand; predict other angles, other lengths.
     Thin cables hung as loops follow: their stiffness, an arm's poses, the twist at which they
     buckle. And the thick cables' swings: by the statics' model, then with internal damping.

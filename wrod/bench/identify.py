@@ -10,54 +10,32 @@ from wrod import cost, side_by_side
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 from wrod.machine import machine_line
+from wrod.options import FOLDER, SOURCE_FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
 
 @click.command(name="identify")
-@click.option(
-    "--sets",
-    "folder",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder of measured sets (.npz).",
-)
-@click.option(
-    "--hidden",
-    "seeds",
-    type=int,
-    multiple=True,
-    help="Seed of sets made here, each with a hidden effect; may be given again.",
-)
-@click.option(
-    "--noise",
-    "noises",
-    multiple=True,
-    help="Hidden: kind of noise of the markers; may be given again. Default: white.",
-)
-@click.option(
-    "--only",
-    multiple=True,
-    help="Hidden: only the case of this name, or else all with this text in theirs, "
-    "in the order of the texts; may be given again.",
-)
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Hidden: keep rows.")
-@click.option("--workers", default=1, show_default=True, help="Hidden: processes side by side.")
-@click.option(
-    "--minutes",
-    type=float,
-    help="For each set: end its search by then with the best verdict so far.",
-)
-@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@own_options
 @cost.force_option
 @json_option
 def command(
-    folder: Path | None,
-    seeds: tuple[int, ...],
-    noises: tuple[str, ...],
-    only: tuple[str, ...],
-    out: Path | None,
-    workers: int,
-    minutes: float | None,
-    device: str,
+    folder: Path | None = option("Folder of measured sets (.npz).", "--sets", type=SOURCE_FOLDER),
+    seeds: tuple[int, ...] = option(
+        "Seed of sets made here, each with a hidden effect; may be given again.", "--hidden"
+    ),
+    noises: tuple[str, ...] = option(
+        "Hidden: kind of noise of the markers; may be given again. Default: white.", "--noise"
+    ),
+    only: tuple[str, ...] = option(
+        "Hidden: only the case of this name, or else all with this text in theirs, "
+        "in the order of the texts; may be given again."
+    ),
+    out: Path | None = option("Hidden: keep rows.", type=FOLDER),
+    workers: int = option("Hidden: processes side by side.", default=1),
+    minutes: float | None = option(
+        "For each set: end its search by then with the best verdict so far."
+    ),
+    device: str = option("cpu, cuda:0 or auto.", default="cpu"),
 ) -> None:
     """Identify many sets: those of a folder, or rods made here whose effects are known.
 

@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.options import option, own_options
 from wrod.telling import json_option, tell
 
 
@@ -24,13 +25,15 @@ def held_inputs(count: int, seed: int = 0):
 
 
 @click.command(name="manifold")
-@click.option("--count", default=512, show_default=True, help="Held grips.")
-@click.option("--lengths", default=50, show_default=True, help="Values of l_s for the boundary.")
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--threads", default=0, show_default=True, help="CPU threads; 0: one per core.")
+@own_options
 @cost.force_option
 @json_option
-def command(count: int, lengths: int, device: str, threads: int) -> None:
+def command(
+    count: int = option("Held grips.", default=512),
+    lengths: int = option("Values of l_s for the boundary.", default=50),
+    device: str = option("cpu, cuda:0 or auto.", default="auto"),
+    threads: int = option("CPU threads; 0: one per core.", default=0),
+) -> None:
     """Equilibria for given grips, the manifold's boundary, and what stability adds to a plan."""
     import numpy as np
 

@@ -6,19 +6,21 @@ import warnings
 import click
 
 from wrod import cost
-from wrod.options import refuse_idle_options
+from wrod.options import option, own_options, refuse_idle_options
 from wrod.telling import asked, json_option
 
 
 @click.command(name="newton")
-@click.option("--bodies", is_flag=True, help="Cables that pull bodies, and a pile; the default.")
-@click.option("--many", is_flag=True, help="Many worlds, a step in a graph, a large pile.")
-@click.option("--worlds", default=1024, show_default=True, help="Worlds of --many.")
-@click.option("--cables", default=40, show_default=True, help="Cables of the pile of --many.")
-@click.option("--edges", default=40, show_default=True, help="Edges of a cable of --many.")
-@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@own_options
 @json_option
-def command(bodies: bool, many: bool, worlds: int, cables: int, edges: int, device: str) -> None:
+def command(
+    bodies: bool = option("Cables that pull bodies, and a pile; the default."),
+    many: bool = option("Many worlds, a step in a graph, a large pile."),
+    worlds: int = option("Worlds of --many.", default=1024),
+    cables: int = option("Cables of the pile of --many.", default=40),
+    edges: int = option("Edges of a cable of --many.", default=40),
+    device: str = option("cpu, cuda:0 or auto.", default="cpu"),
+) -> None:
     """SolverDER's coupling with free bodies and an arm against closed forms and statics, and a
     pile, on the CPU. With --many: lines of JSON, as they come.
     """

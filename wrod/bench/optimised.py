@@ -9,6 +9,7 @@ import numpy as np
 
 from wrod import cost
 from wrod.bench.table3_paper import patterns_option, read_pattern
+from wrod.options import option, own_options
 from wrod.telling import asked, json_option, tell
 
 # Rods that are laid at once: one, and on a GPU as many as a learner might.
@@ -16,16 +17,16 @@ _BATCHES = (1, 64)
 
 
 @click.command(name="optimised")
-@click.option("--rod", "rod_name", default="green-vps", show_default=True)
-@click.option("--names", default="letter-U,letter-A", show_default=True, help="Patterns.")
-@click.option("--friction", default=0.3, show_default=True)
+@own_options
 @patterns_option
-@click.option("--together", default=0, show_default=True,
-              help="Optimise so many plans of random patterns together, too.")  # fmt: skip
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @json_option
 def command(
-    rod_name: str, names: str, friction: float, patterns: Path | None, together: int, device: str
+    patterns: Path | None,
+    rod_name: str = option(None, "--rod", default="green-vps"),
+    names: str = option("Patterns.", default="letter-U,letter-A"),
+    friction: float = option(None, default=0.3),
+    together: int = option("Optimise so many plans of random patterns together, too.", default=0),
+    device: str = option("cpu, cuda:0 or auto.", default="auto"),
 ) -> None:
     """Optimise plans, and lay rods with and without derivatives by all directions of a plan.
 

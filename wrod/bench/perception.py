@@ -7,21 +7,22 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.options import FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
 
 @click.command(name="perception")
-@click.option(
-    "--images",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("../shared/images/dlo"),
-    show_default=True,
-    help="Folder with SET/images/*.jpg, SET/gt/*.png (labels) and SET/crossings.json.",
-)
-@click.option("--source", type=click.Choice(["mask", "photo"]), default="mask", show_default=True)
-@click.option("--repeats", default=5, show_default=True, help="Timed runs per picture.")
+@own_options
 @json_option
-def command(images: Path, source: str, repeats: int) -> None:
+def command(
+    images: Path = option(
+        "Folder with SET/images/*.jpg, SET/gt/*.png (labels) and SET/crossings.json.",
+        type=FOLDER,
+        default=Path("../shared/images/dlo"),
+    ),
+    source: str = option(None, type=click.Choice(["mask", "photo"]), default="mask"),
+    repeats: int = option("Timed runs per picture.", default=5),
+) -> None:
     """Trace every picture from its union mask or from the photograph, and score it.
 
     Dice is that of the paths drawn with their radius, the best match of paths and labels; count

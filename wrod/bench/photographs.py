@@ -6,56 +6,34 @@ from typing import Any
 
 import click
 
-from wrod.options import refuse_idle_options
+from wrod.options import FOLDER, SOURCE_FOLDER, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
 
 @click.command(name="photographs")
-@click.option(
-    "--data",
-    required=True,
-    type=click.Path(file_okay=False, exists=True, path_type=Path),
-    help="Folder of photographs (ROD-PATTERN-int.npz).",
-)
-@click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--quick", is_flag=True, help="One rod, two patterns, no predictions.")
-@click.option(
-    "--nothing-fitted", is_flag=True, help="One scenario a picture, as told; no predictions."
-)
-@click.option("--spacing", default=0.01, show_default=True, help="Length of the edges [m].")
-@click.option("--step", default=0.025, show_default=True, help="Largest time step [s].")
-@click.option(
-    "--scheme",
-    type=click.Choice(["euler", "bdf2"]),
-    default="bdf2",
-    show_default=True,
-    help="Of time stepping, of first and of second order.",
-)
-@click.option(
-    "--damping",
-    type=float,
-    help="Kelvin-Voigt time of the rods' material [s]; default: that of recorded cables.",
-)
-@click.option(
-    "--scenarios", default=64, show_default=True, help="Drawn scenarios a rod, beside 11."
-)
-@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--threads", type=int, help="CPU threads; default: one per core.")
-@click.option("--workers", default=1, show_default=True, help="Processes side by side.")
+@own_options
 @json_option
 def command(
-    data: Path,
-    out: Path,
-    quick: bool,
-    nothing_fitted: bool,
-    spacing: float,
-    step: float,
-    scheme: str,
-    damping: float | None,
-    scenarios: int,
-    device: str,
-    threads: int | None,
-    workers: int,
+    data: Path = option(
+        "Folder of photographs (ROD-PATTERN-int.npz).", required=True, type=SOURCE_FOLDER
+    ),
+    out: Path = option(None, required=True, type=FOLDER),
+    quick: bool = option("One rod, two patterns, no predictions."),
+    nothing_fitted: bool = option("One scenario a picture, as told; no predictions."),
+    spacing: float = option("Length of the edges [m].", default=0.01),
+    step: float = option("Largest time step [s].", default=0.025),
+    scheme: str = option(
+        "Of time stepping, of first and of second order.",
+        type=click.Choice(["euler", "bdf2"]),
+        default="bdf2",
+    ),
+    damping: float | None = option(
+        "Kelvin-Voigt time of the rods' material [s]; default: that of recorded cables."
+    ),
+    scenarios: int = option("Drawn scenarios a rod, beside 11.", default=64),
+    device: str = option("cpu, cuda:0 or auto.", default="cpu"),
+    threads: int | None = option("CPU threads; default: one per core."),
+    workers: int = option("Processes side by side.", default=1),
 ) -> None:
     """Find the scenario in which photographed rods were laid; predict what other grips would lay.
 

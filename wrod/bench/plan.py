@@ -7,19 +7,21 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.options import SOURCE_FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
 
 @click.command(name="plan")
-@click.option(
-    "--patterns",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder of pattern files (*.txt, *.csv); default: the built-in patterns.",
-)
-@click.option("--method", default="numeric", show_default=True)
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@own_options
 @json_option
-def command(patterns: Path | None, method: str, device: str) -> None:
+def command(
+    patterns: Path | None = option(
+        "Folder of pattern files (*.txt, *.csv); default: the built-in patterns.",
+        type=SOURCE_FOLDER,
+    ),
+    method: str = option(None, default="numeric"),
+    device: str = option("cpu, cuda:0 or auto.", default="auto"),
+) -> None:
     """Plan every pattern for the paper's rods 1 to 3, at a node every 2.5 mm."""
     import wrod
     from wrod.errors import PatternError

@@ -10,30 +10,24 @@ import click
 from wrod import cost
 from wrod.bench.table3_paper import PATTERNS, RODS, patterns_option, read_pattern
 from wrod.machine import machine_line
+from wrod.options import FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
 
 @click.command(name="robot")
-@click.option("--method", default="numeric", show_default=True, help="Planner of the trajectories.")
+@own_options
 @patterns_option
-@click.option(
-    "--robots", default="sawyer", show_default=True, help="Arms, separated by commas, or all."
-)
-@click.option("--rods", default=",".join(RODS), show_default=True, help="Separated by commas.")
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder of finished cases, with a valid scene asked of each; a stopped run goes on.",
-)
-@click.option("--finer", is_flag=True, help="Compare with plans at a tenth of the node distance.")
 @json_option
 def command(
-    method: str,
     patterns: Path | None,
-    robots: str,
-    rods: str,
-    out: Path | None,
-    finer: bool,
+    method: str = option("Planner of the trajectories.", default="numeric"),
+    robots: str = option("Arms, separated by commas, or all.", default="sawyer"),
+    rods: str = option("Separated by commas.", default=",".join(RODS)),
+    out: Path | None = option(
+        "Folder of finished cases, with a valid scene asked of each; a stopped run goes on.",
+        type=FOLDER,
+    ),
+    finer: bool = option("Compare with plans at a tenth of the node distance."),
 ) -> None:
     """Solve 21 joint paths an arm with automatic placement and print what they keep.
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import click
 
 from wrod import cost
+from wrod.options import option, own_options
 from wrod.telling import json_option, tell
 
 # Simulated seconds after which a batch is looked at, and that it is timed for.
@@ -18,21 +19,19 @@ _SHOWN = 12
 
 
 @click.command(name="rounds")
-@click.option(
-    "--rods",
-    "counts",
-    default="1260,100,10",
-    show_default=True,
-    help="Deployments at once, separated by commas: of table 3, one trial of each cell first.",
-)
-@click.option("--knots", default=10, show_default=True, help="Trefoils at once; 0: none.")
-@click.option(
-    "--reefs", default=0, show_default=True, help="Ready-made reef knots that are pulled; 0: none."
-)
-@click.option("--rounds", default=200, show_default=True, help="Rounds that are looked at.")
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@own_options
 @json_option
-def command(counts: str, knots: int, reefs: int, rounds: int, device: str) -> None:
+def command(
+    counts: str = option(
+        "Deployments at once, separated by commas: of table 3, one trial of each cell first.",
+        "--rods",
+        default="1260,100,10",
+    ),
+    knots: int = option("Trefoils at once; 0: none.", default=10),
+    reefs: int = option("Ready-made reef knots that are pulled; 0: none.", default=0),
+    rounds: int = option("Rounds that are looked at.", default=200),
+    device: str = option("cpu, cuda:0 or auto.", default="auto"),
+) -> None:
     """A round is a Newton iteration of every rod that is under way, or ends its step.
 
     Times of kernels, on a GPU, are of rounds that are launched one by one; a round's own time is as

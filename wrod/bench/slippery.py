@@ -28,7 +28,7 @@ from wrod.errors import RodError
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 from wrod.machine import machine_line
-from wrod.options import gathered
+from wrod.options import gathered, option, own_options
 from wrod.telling import json_option, tell
 
 ENGINES = ("wrod", "mujoco")
@@ -62,47 +62,32 @@ _GENTLE = 0.4
 
 
 @click.command(name="slippery")
-@click.option("--frictions", default="0.1,0.2,0.3,0.6,1", show_default=True, help="Of the tables.")
-@click.option(
-    "--rods", default="green-vps,rope,pink-vps", show_default=True, help="With commas between them."
-)
-@click.option(
-    "--names", default="sine,letter-U,letter-C,letter-L,letter-A", show_default=True,
-    help="Patterns.",
-)  # fmt: skip
-@click.option(
-    "--methods", default=",".join(m for m in METHODS if m not in _ASKED), show_default=True,
-    help="What lays them; also min_force, and certain: optimised for the very rod and table of the "
-    "trials, but for what disturbs these.",
-)  # fmt: skip
-@click.option("--trials", default=2, show_default=True, help="Disturbed trials a cell.")
-@click.option(
-    "--engines", default="wrod", show_default=True,
-    help="What simulates: wrod, and mujoco, a chain of segments that shares nothing with it.",
-)  # fmt: skip
-@click.option(
-    "--chain-step", default=0.004, show_default=True, help="Time step of the mujoco engine [s]."
-)
-@click.option("--undisturbed", is_flag=True, help="Lay the planned rod, placed as planned.")
-@click.option("--disturbed", help="What alone disturbs the trials: jitter, lgb_error, placement, "
-              "yaw, natural_curvature; default: all.")  # fmt: skip
-@click.option("--workers", default=1, show_default=True,
-              help="Processes, on a CPU.")  # fmt: skip
+@own_options
 @gathered("common", campaign.Common, speed=0.04, step=0.01, spacing=0.005)
 @json_option
 @cost.force_option
 def command(
-    frictions: str,
-    rods: str,
-    names: str,
-    methods: str,
-    trials: int,
-    engines: str,
-    chain_step: float,
-    undisturbed: bool,
-    disturbed: str | None,
-    workers: int,
     common: campaign.Common,
+    frictions: str = option("Of the tables.", default="0.1,0.2,0.3,0.6,1"),
+    rods: str = option("With commas between them.", default="green-vps,rope,pink-vps"),
+    names: str = option("Patterns.", default="sine,letter-U,letter-C,letter-L,letter-A"),
+    methods: str = option(
+        "What lays them; also min_force, and certain: optimised for the very rod and table of the "
+        "trials, but for what disturbs these.",
+        default=",".join(m for m in METHODS if m not in _ASKED),
+    ),
+    trials: int = option("Disturbed trials a cell.", default=2),
+    engines: str = option(
+        "What simulates: wrod, and mujoco, a chain of segments that shares nothing with it.",
+        default="wrod",
+    ),
+    chain_step: float = option("Time step of the mujoco engine [s].", default=0.004),
+    undisturbed: bool = option("Lay the planned rod, placed as planned."),
+    disturbed: str | None = option(
+        "What alone disturbs the trials: jitter, lgb_error, placement, "
+        "yaw, natural_curvature; default: all."
+    ),
+    workers: int = option("Processes, on a CPU.", default=1),
 ) -> None:
     """Lay patterns by plans that do not know their table and by plans that do.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.options import refuse_idle_options
+from wrod.options import FILE, SOURCE_FOLDER, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
 RODS = ("pink-vps", "green-vps", "rope")
@@ -78,22 +78,20 @@ def cell(curve, rod, controller, device: str, nodes: int) -> dict:
 
 
 @click.command(name="table4")
-@click.option(
-    "--patterns",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    required=True,
-    help="Folder with the paper's patterns: line.txt, circle.txt, ..., letterA.txt.",
-)
-@click.option(
-    "--controller",
-    "weights",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Controller file; default: the one that ships.",
-)
-@click.option("--closure", default="zero_tension", show_default=True, help="Of the one that ships.")
-@click.option("--device", default="auto", show_default=True, help="Of the numeric solver.")
+@own_options
 @json_option
-def command(patterns: Path, weights: Path | None, closure: str, device: str) -> None:
+def command(
+    patterns: Path = option(
+        "Folder with the paper's patterns: line.txt, circle.txt, ..., letterA.txt.",
+        type=SOURCE_FOLDER,
+        required=True,
+    ),
+    weights: Path | None = option(
+        "Controller file; default: the one that ships.", "--controller", type=FILE
+    ),
+    closure: str = option("Of the one that ships.", default="zero_tension"),
+    device: str = option("Of the numeric solver.", default="auto"),
+) -> None:
     """Compare controller and numeric solver on rods 1 to 3 and the paper's seven patterns.
 
     Both solve the controller's closure; the paper's figures are those of no tension."""

@@ -12,6 +12,7 @@ import click
 from wrod import cost
 from wrod.commands.options import DEVICE
 from wrod.machine import usable_cores
+from wrod.options import option, own_options
 from wrod.side_by_side import run
 from wrod.telling import asked, json_option
 
@@ -57,10 +58,13 @@ _PICTURE, _ALL = "pictures of scenes", "all"  # kernels that are no module's
 
 @click.command(name="compile", short_help="Compile kernels before they are needed.")
 @DEVICE
-@click.option("--jobs", type=int, help="Processes at a time; at most (default) one a core.")
-@click.option("--all", "rare", is_flag=True, help="On a CPU also what few commands launch.")
+@own_options
 @json_option
-def command(device: str, jobs: int | None, rare: bool) -> None:
+def command(
+    device: str,
+    jobs: int | None = option("Processes at a time; at most (default) one a core."),
+    rare: bool = option("On a CPU also what few commands launch.", "--all"),
+) -> None:
     """Fill Warp's kernel cache, so that other commands do not have to wait for a compiler.
 
     Kernels are compiled once on a machine, by whatever needs them first; here they are side by

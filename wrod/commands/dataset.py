@@ -7,36 +7,31 @@ import click
 
 from wrod import cost
 from wrod.commands.options import CLOSURE, DEVICE, ROLL, RodOptions
-from wrod.options import gathered, refuse_idle_options
+from wrod.options import FOLDER, gathered, option, own_options, refuse_idle_options
 from wrod.telling import asked, json_option, tell
 
 
 @click.command(name="dataset", short_help="Solve grasps to train a controller with.")
-@click.option("--size", type=int, required=True, help="Number of samples.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--seed", default=0, show_default=True)
+@own_options
 @CLOSURE
-@click.option(
-    "--sensitivities/--no-sensitivities",
-    default=True,
-    help="Store the derivatives by the inputs (zero_tension only).",
-)
 @gathered("rod_options", RodOptions)
-@click.option("--roll", "roll_text", help=ROLL)
-@click.option("--shard-size", type=int, help="Samples per file; default 2048.")
 @DEVICE
 @cost.force_option
 @json_option
 def command(
-    size: int,
-    out: Path,
-    seed: int,
     closure: str,
-    sensitivities: bool,
     rod_options: RodOptions,
-    roll_text: str | None,
-    shard_size: int | None,
     device: str,
+    size: int = option("Number of samples.", required=True),
+    out: Path = option(None, type=FOLDER, required=True),
+    seed: int = option(None, default=0),
+    sensitivities: bool = option(
+        "Store the derivatives by the inputs (zero_tension only).",
+        "--sensitivities/--no-sensitivities",
+        default=True,
+    ),
+    roll_text: str | None = option(ROLL, "--roll"),
+    shard_size: int | None = option("Samples per file; default 2048."),
 ) -> None:
     """Solve grasps at low-discrepancy samples of (l_s, kappa, k_s), or of one rod alone.
 

@@ -8,14 +8,14 @@ import click
 from wrod import cost
 from wrod.commands.deploy_options import Laying, Planned
 from wrod.commands.options import DEVICE, UNITS, PatternOptions, RodOptions
-from wrod.options import gathered
+from wrod.options import FOLDER, gathered, option, own_options
 from wrod.telling import json_option, tell
 
 
 @click.command(name="deploy")
 @click.argument("pattern")
 @gathered("rod_options", RodOptions)
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@own_options
 @gathered("planned", Planned)
 @gathered("reading", PatternOptions, UNITS)
 @gathered("laying", Laying)
@@ -25,11 +25,11 @@ from wrod.telling import json_option, tell
 def command(
     pattern: str,
     rod_options: RodOptions,
-    out: Path,
     planned: Planned,
     reading: PatternOptions,
     laying: Laying,
     device: str,
+    out: Path = option(None, type=FOLDER, required=True),
 ) -> None:
     """Lay a rod along PATTERN in simulation, and measure it.
 

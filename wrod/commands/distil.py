@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.options import FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
 # What laying a rod once takes of the time of a plan, in which it is laid five times.
@@ -12,19 +13,19 @@ _LAID_ONCE = 0.2
 
 
 @click.command(name="distil", short_help="Train a network that corrects plans for a table.")
-@click.option("--size", type=int, required=True, help="Optimised plans to learn from.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--seed", default=0, show_default=True)
-@click.option("--steps", default=3000, show_default=True,
-              help="Of each training.")  # fmt: skip
-@click.option(
-    "--rounds", default=2, show_default=True,
-    help="Times that a network lays all patterns, and the next learns from that.",
-)  # fmt: skip
-@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@own_options
 @cost.force_option
 @json_option
-def command(size: int, out: Path, seed: int, steps: int, rounds: int, device: str) -> None:
+def command(
+    size: int = option("Optimised plans to learn from.", required=True),
+    out: Path = option(None, type=FOLDER, required=True),
+    seed: int = option(None, default=0),
+    steps: int = option("Of each training.", default=3000),
+    rounds: int = option(
+        "Times that a network lays all patterns, and the next learns from that.", default=2
+    ),
+    device: str = option("cpu, cuda:0 or auto.", default="cpu"),
+) -> None:
     """Optimise plans of random patterns for random tables, and train a network on them.
 
     `wrod plan --friction 0.3 --method distilled` asks the network instead of optimising. It learns

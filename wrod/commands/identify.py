@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from wrod import cost
-from wrod.options import refuse_idle_options
+from wrod.options import FOLDER, option, own_options, refuse_idle_options
 from wrod.telling import asked, json_option, tell
 
 # Parameters of an effect that are printed, and of one that has more of them.
@@ -16,28 +16,20 @@ _SHOWN, _FEW = 8, 3
 
 @click.command(name="identify", short_help="Find what the model of a rod lacks, from measurements.")
 @click.argument("data", required=False, type=click.Path(path_type=Path))
-@click.option("--test", type=click.Path(path_type=Path), help="More data of the rod to score on.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--effect", "names", multiple=True, help="Try this effect only (repeatable).")
-@click.option(
-    "--template",
-    help="Write an example file of measurements into OUT instead: clamped or motion.",
-)
-@click.option(
-    "--minutes",
-    type=float,
-    help="Of a clamped rod: end the search by then with the best verdict so far.",
-)
-@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@own_options
 @json_option
 def command(
     data: Path | None,
-    test: Path | None,
-    out: Path,
-    names: tuple[str, ...],
-    template: str | None,
-    minutes: float | None,
-    device: str,
+    test: Path | None = option("More data of the rod to score on."),
+    out: Path = option(None, type=FOLDER, required=True),
+    names: tuple[str, ...] = option("Try this effect only (repeatable).", "--effect"),
+    template: str | None = option(
+        "Write an example file of measurements into OUT instead: clamped or motion."
+    ),
+    minutes: float | None = option(
+        "Of a clamped rod: end the search by then with the best verdict so far."
+    ),
+    device: str = option("cpu, cuda:0 or auto.", default="cpu"),
 ) -> None:
     """Find what the base model of the rod in DATA lacks, and prove it on data not fitted.
 

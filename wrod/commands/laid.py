@@ -8,7 +8,7 @@ import click
 
 from wrod import cost
 from wrod.commands.options import DEVICE, UNITS, PatternOptions, RodOptions
-from wrod.options import gathered, option
+from wrod.options import FILE, gathered, option, own_options
 from wrod.telling import json_option, tell
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -70,28 +70,23 @@ class _Fit:
 
 @click.command(name="laid", short_help="Compare laid rods with their pattern.")
 @click.argument("rods", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--pattern", required=True, help="What they were laid along.")
-@click.option(
-    "--trajectory",
-    required=True,
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Trajectory (.npz) of `wrod plan` that laid them.",
-)
+@own_options
 @gathered("rod_options", RodOptions)
 @gathered("reading", PatternOptions, UNITS)
-@click.option("--noise", type=float, help="Of a coordinate [m]; default: the rods' scatter.")
 @gathered("fit", _Fit)
 @DEVICE
 @json_option
 def command(
     rods: tuple[Path, ...],
-    pattern: str,
-    trajectory: Path,
     rod_options: RodOptions,
     reading: PatternOptions,
-    noise: float | None,
     fit: _Fit,
     device: str,
+    pattern: str = option("What they were laid along.", required=True),
+    trajectory: Path = option(
+        "Trajectory (.npz) of `wrod plan` that laid them.", required=True, type=FILE
+    ),
+    noise: float | None = option("Of a coordinate [m]; default: the rods' scatter."),
 ) -> None:
     """Compare laid RODS with their pattern, and explain the difference.
 

@@ -4,28 +4,20 @@ from pathlib import Path
 
 import click
 
+from wrod.options import FILE, option, own_options
 from wrod.telling import json_option, tell
 
 
 @click.command(name="loop", short_help="Measure a rod: a fold on the table and a ruler.")
-@click.option("--height", type=float, required=True, help="Height of the loop's centreline [m].")
-@click.option("--radius", type=float, required=True, help="Radius of the section [m].")
-@click.option("--length", type=float, required=True, help="Total length of the rod [m].")
-@click.option("--density", type=float, default=1180.0, show_default=True, help="Density [kg/m^3].")
-@click.option("--poisson", type=float, default=0.5, show_default=True, help="Poisson's ratio.")
-@click.option(
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Rod file (.json) to write; `wrod plan --rod` reads it.",
-)
+@own_options
 @json_option
 def command(
-    height: float,
-    radius: float,
-    length: float,
-    density: float,
-    poisson: float,
-    out: Path | None,
+    height: float = option("Height of the loop's centreline [m].", required=True),
+    radius: float = option("Radius of the section [m].", required=True),
+    length: float = option("Total length of the rod [m].", required=True),
+    density: float = option("Density [kg/m^3].", default=1180.0),
+    poisson: float = option("Poisson's ratio.", default=0.5),
+    out: Path | None = option("Rod file (.json) to write; `wrod plan --rod` reads it.", type=FILE),
 ) -> None:
     """Measure a rod: fold it over on the table and read how high the loop stands.
 

@@ -6,26 +6,23 @@ import click
 
 from wrod import cost
 from wrod.commands.options import CLOSURE, DEVICE
+from wrod.options import FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
 
 @click.command(name="manifold", short_help="Map the grips that lay a straight pattern.")
-@click.option("--length", required=True, type=float, help="Suspended length [L_gb].")
-@click.option("--stretch-ratio", default=2087.0, show_default=True, help="k_s [-].")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@own_options
 @CLOSURE
-@click.option("--rays", default=69, show_default=True, help="Rays from 5 to 175 degrees.")
-@click.option("--nudge", default=0.12, show_default=True, help="Sideways offset [L_gb].")
 @DEVICE
 @json_option
 def command(
-    length: float,
-    stretch_ratio: float,
-    out: Path,
     closure: str,
-    rays: int,
-    nudge: float,
     device: str,
+    length: float = option("Suspended length [L_gb].", required=True),
+    stretch_ratio: float = option("k_s [-].", default=2087.0),
+    out: Path = option(None, type=FOLDER, required=True),
+    rays: int = option("Rays from 5 to 175 degrees.", default=69),
+    nudge: float = option("Sideways offset [L_gb].", default=0.12),
 ) -> None:
     """Map the grips that lay a straight pattern, and test which optimal grasps are stable.
 

@@ -4,20 +4,21 @@ from pathlib import Path
 
 import click
 
+from wrod.options import FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
 
 @click.command(
     name="markers", short_help="Write a sheet of markers to print, which gives pictures a scale."
 )
-@click.option(
-    "--paper", default="a4", show_default=True, help="a4, a3, letter, or WIDTHxHEIGHT [m]."
-)
-@click.option("--side", default=0.024, show_default=True, help="Of a marker [m].")
-@click.option("--margin", default=0.008, show_default=True, help="White edge of the sheet [m].")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@own_options
 @json_option
-def command(paper: str, side: float, margin: float, out: Path) -> None:
+def command(
+    paper: str = option("a4, a3, letter, or WIDTHxHEIGHT [m].", default="a4"),
+    side: float = option("Of a marker [m].", default=0.024),
+    margin: float = option("White edge of the sheet [m].", default=0.008),
+    out: Path = option(None, type=FOLDER, required=True),
+) -> None:
     """Write a sheet of four ArUco markers to print, and the layout that photographs are read by.
 
     Draw on the printed sheet, or lay it beside what is photographed; then

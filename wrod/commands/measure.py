@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from wrod.commands.options import PICTURE, UNITS, PatternOptions
-from wrod.options import gathered, refuse_idle_options
+from wrod.options import FILE, gathered, option, own_options, refuse_idle_options
 from wrod.telling import asked, json_option, tell
 
 
@@ -13,29 +13,19 @@ from wrod.telling import asked, json_option, tell
     name="measure", short_help="Measure a rod: a table's edge and a ruler, or a photograph."
 )
 @click.argument("curve", required=False)
-@click.option("--overhang", type=float, help="Length of rod beyond the table's edge [m].")
-@click.option("--fall", type=float, help="Of its end below the clamped part [m].")
-@click.option("--reading", default=1e-3, show_default=True, help="Error of the ruler [m].")
-@click.option("--radius", type=float, required=True, help="Radius of the section [m].")
-@click.option("--length", type=float, required=True, help="Total length of the rod [m].")
-@click.option("--density", type=float, default=1180.0, show_default=True, help="Density [kg/m^3].")
+@own_options
 @gathered("picture", PatternOptions, UNITS, PICTURE)
-@click.option(
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Rod file (.json) to write; `wrod plan --rod` reads it.",
-)
 @json_option
 def command(
     curve: str | None,
-    overhang: float | None,
-    fall: float | None,
-    reading: float,
-    radius: float,
-    length: float,
-    density: float,
     picture: PatternOptions,
-    out: Path | None,
+    overhang: float | None = option("Length of rod beyond the table's edge [m]."),
+    fall: float | None = option("Of its end below the clamped part [m]."),
+    reading: float = option("Error of the ruler [m].", default=1e-3),
+    radius: float = option("Radius of the section [m].", required=True),
+    length: float = option("Total length of the rod [m].", required=True),
+    density: float = option("Density [kg/m^3].", default=1180.0),
+    out: Path | None = option("Rod file (.json) to write; `wrod plan --rod` reads it.", type=FILE),
 ) -> None:
     """Measure a rod's gravito-bending length with a ruler or a photograph.
 

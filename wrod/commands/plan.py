@@ -35,7 +35,7 @@ from wrod.commands.robot_options import RobotRequest
 from wrod.commands.running import draw_beside
 from wrod.errors import PatternError
 from wrod.machine import usable_cores
-from wrod.options import gathered, option, refuse_idle_options
+from wrod.options import FOLDER, gathered, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
 
@@ -149,7 +149,7 @@ class _GraspRequest:
 @click.command(name="plan")
 @click.argument("pattern")
 @gathered("rod_options", RodOptions)
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@own_options
 @gathered("grasps", _GraspRequest)
 @gathered("reading", PatternOptions, UNITS, DRAWING, PICTURE)
 @gathered("shaping", Shaping)
@@ -159,12 +159,12 @@ class _GraspRequest:
 def command(
     pattern: str,
     rod_options: RodOptions,
-    out: Path,
     grasps: _GraspRequest,
     reading: PatternOptions,
     shaping: Shaping,
     request: RobotRequest,
     device: str,
+    out: Path = option(None, type=FOLDER, required=True),
 ) -> None:
     """Plan how the grip moves to lay a rod along PATTERN.
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.options import refuse_idle_options
+from wrod.options import option, own_options, refuse_idle_options
 
 
 def _size(ctx, param, value: str) -> tuple[int, int]:
@@ -25,21 +25,16 @@ _OTHERS = (
 
 @click.command(name="render")
 @click.argument("scene", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder, PNG or HTML.")
-@click.option("--camera", default="perspective", show_default=True, help="top, perspective, ...")
-@click.option("--frames", type=int, help="Pictures from first to last; 24, or 1 for a PNG.")
-@click.option("--moments", is_flag=True, help="One PNG of the scene's moments: knots and cables.")
-@click.option("--size", default="960x720", show_default=True, callback=_size, help="Pixels.")
-@click.option("--hide", multiple=True, help="Leave out prims of this name (robot, ...).")
+@own_options
 @cost.force_option
 def command(
     scene: Path,
-    out: Path,
-    camera: str,
-    frames: int | None,
-    moments: bool,
-    size: tuple[int, int],
-    hide: tuple[str, ...],
+    out: Path = option("Folder, PNG or HTML.", required=True),
+    camera: str = option("top, perspective, ...", default="perspective"),
+    frames: int | None = option("Pictures from first to last; 24, or 1 for a PNG."),
+    moments: bool = option("One PNG of the scene's moments: knots and cables."),
+    size: tuple[int, int] = option("Pixels.", default="960x720", callback=_size),
+    hide: tuple[str, ...] = option("Leave out prims of this name (robot, ...)."),
 ) -> None:
     """Draw SCENE, a USD stage, without a display.
 

@@ -8,7 +8,7 @@ import click
 
 from wrod import cost
 from wrod.commands.options import SCALE, PatternOptions, parse_numbers, parse_start
-from wrod.options import gathered, option, refuse_idle_options
+from wrod.options import FOLDER, gathered, option, own_options, refuse_idle_options
 from wrod.telling import asked, json_option
 
 
@@ -50,27 +50,24 @@ class _Reading:
 
 @click.command(name="scan", short_help="Turn pictures of drawn curves into patterns.")
 @click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@own_options
 @gathered("reading", _Reading)
 @gathered("scale", PatternOptions, SCALE)
-@click.option(
-    "--start",
-    default="lower-left",
-    show_default=True,
-    help="Where a metric curve begins: X,Y [m], dot, or a corner such as upper-right.",
-)
-@click.option("--several", is_flag=True, help="Allow several curves in a metric picture.")
-@click.option("--overlay/--no-overlay", default=True, help="Write a picture of what was found.")
 @cost.force_option
 @json_option
 def command(
     images: tuple[Path, ...],
-    out: Path,
     reading: _Reading,
     scale: PatternOptions,
-    start: str,
-    several: bool,
-    overlay: bool,
+    out: Path = option(None, type=FOLDER, required=True),
+    start: str = option(
+        "Where a metric curve begins: X,Y [m], dot, or a corner such as upper-right.",
+        default="lower-left",
+    ),
+    several: bool = option("Allow several curves in a metric picture."),
+    overlay: bool = option(
+        "Write a picture of what was found.", "--overlay/--no-overlay", default=True
+    ),
 ) -> None:
     """Write STEM.npz and STEM-overlay.png for each picture.
 

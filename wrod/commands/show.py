@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from wrod.commands.options import DRAWING, PICTURE, UNITS, PatternOptions, RodOptions
-from wrod.options import gathered, refuse_idle_options
+from wrod.options import FILE, gathered, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
 
@@ -13,17 +13,15 @@ from wrod.telling import json_option, tell
 @click.argument("pattern")
 @gathered("rod_options", RodOptions)
 @gathered("reading", PatternOptions, UNITS, DRAWING, PICTURE)
-@click.option("--resize", type=float, help="Draw the pattern this many times as large.")
-@click.option("--tolerance", default=0.01, show_default=True, help="Of rounded corners [m].")
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="A picture (PNG).")
+@own_options
 @json_option
 def command(
     pattern: str,
     rod_options: RodOptions,
     reading: PatternOptions,
-    resize: float | None,
-    tolerance: float,
-    out: Path | None,
+    resize: float | None = option("Draw the pattern this many times as large."),
+    tolerance: float = option("Of rounded corners [m].", default=0.01),
+    out: Path | None = option("A picture (PNG).", type=FILE),
 ) -> None:
     """Say what PATTERN is: length, size, curvature, how far it leaves its points.
 
