@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +43,8 @@ def command(
     ),
 ) -> None:
     """Cold starts over l_s 1..50, |kappa| 0..3.5, k_s 150..15000."""
-    import warp as wp
-
     from wrod.grasps.inputs import CLOSURES, whole_range
-    from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
+    from wrod.grasps.optimal import solve_grasps
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
@@ -64,33 +63,9 @@ def command(
     )
     cost.settle(work, f"{3.75 * _CALLS * count:.0f} grasps", "give a smaller --count")
 
-    def measure(n: int, **options) -> dict:
-        inputs = whole_range(n)
-        if on_gpu:  # what is solved there starts and stays there
-            inputs = [wp.array(v, dtype=wp.float64, device=device) for v in inputs]
-            options["shapes"] = False
-            solve_grasps(*inputs, **options)
-            wp.synchronize_device(device)
-        taken = []
-        for _ in range(_CALLS):
-            clock, cpu = time.perf_counter(), time.process_time()
-            grasps = solve_grasps(*inputs, device=device, threads=threads, **options)
-            wp.synchronize_device(device)
-            taken.append((time.perf_counter() - clock, time.process_time() - cpu))
-        wall, cpu = sorted(taken)[_CALLS // 2]
-        return {
-            "grasps": n,
-            "edges": options.get("edge_count", EDGE_COUNT),
-            "closure": options.get("closure", "zero_tension"),
-            "per_second": n / wall,
-            "cpu_seconds_per_grasp": cpu / n,
-            "cores": cpu / wall,
-            "converged": float(_numpy(grasps.converged).mean()),
-            "iterations": float(_numpy(grasps.iterations).mean()),
-        }
-
     for closure in CLOSURES:  # compile the kernels outside the clock
         solve_grasps([5.0], [0.5], [1000.0], closure=closure, device=device)
+    measure = partial(_measured, device, threads)
     rows = [measure(n) for n in (count // 4, count // 2, count)]
     rows += [measure(count // 2, edge_count=n) for n in (64, 256)]
     rows += [measure(count // 2, closure=c) for c in ("min_force", "min_friction")]
@@ -100,6 +75,38 @@ def command(
     else:
         figures["cpu"] = cpu_work(rows[2])
     tell(figures, *_lines(figures, threads))
+
+
+def _measured(device: str, threads: int, n: int, **options) -> dict:
+    """Figures of the middle one of some calls."""
+    import warp as wp
+
+    from wrod.grasps.inputs import whole_range
+    from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
+
+    inputs = whole_range(n)
+    if device != "cpu":  # what is solved there starts and stays there
+        inputs = [wp.array(v, dtype=wp.float64, device=device) for v in inputs]
+        options["shapes"] = False
+        solve_grasps(*inputs, **options)
+        wp.synchronize_device(device)
+    taken = []
+    for _ in range(_CALLS):
+        clock, cpu = time.perf_counter(), time.process_time()
+        grasps = solve_grasps(*inputs, device=device, threads=threads, **options)
+        wp.synchronize_device(device)
+        taken.append((time.perf_counter() - clock, time.process_time() - cpu))
+    wall, cpu = sorted(taken)[_CALLS // 2]
+    return {
+        "grasps": n,
+        "edges": options.get("edge_count", EDGE_COUNT),
+        "closure": options.get("closure", "zero_tension"),
+        "per_second": n / wall,
+        "cpu_seconds_per_grasp": cpu / n,
+        "cores": cpu / wall,
+        "converged": float(_numpy(grasps.converged).mean()),
+        "iterations": float(_numpy(grasps.iterations).mean()),
+    }
 
 
 def _lines(figures: dict, threads: int) -> Iterator[str]:

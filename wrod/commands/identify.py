@@ -1,5 +1,6 @@
 """`wrod identify DATA.npz`: what a rod's model misses, and a better model."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ import click
 
 from wrod import cost
 from wrod.options import FOLDER, option, own_options, refuse_idle_options
-from wrod.telling import asked, json_option, tell
+from wrod.telling import json_option, tell
 
 # Parameters of an effect that are printed, and of one that has more of them.
 _SHOWN, _FEW = 8, 3
@@ -79,12 +80,13 @@ def command(
         kept |= {"test": test, "candidates": names or None, "device": device}
         report = identify(data, progress=say, **kept)
     written = report.save(out)
-    if asked("json"):
-        tell(report.to_dict() | {"written": [str(p) for p in written]})
-        return
+    tell(report.to_dict() | {"written": [str(p) for p in written]}, *_lines(report))
+
+
+def _lines(report) -> Iterator[str]:
     verdict = f"{report.verdict} so far" if report.out_of_time else report.verdict
-    click.echo(f"{report.measurements.name}: {verdict}; {report.reason}")
-    click.echo(
+    yield f"{report.measurements.name}: {verdict}; {report.reason}"
+    yield (
         f"test error {1e3 * report.before:.2f} mm before, {1e3 * report.after:.2f} mm after, "
         f"noise floor {1e3 * report.noise_floor:.2f} mm"
     )
@@ -93,12 +95,11 @@ def command(
         if len(found) > _SHOWN:
             # The profile of a whole rod is for the report.
             found[_FEW:] = [f"and {len(found) - _FEW} more in report.json"]
-        click.echo(f"  {effect.name}: {', '.join(found)}")
+        yield f"  {effect.name}: {', '.join(found)}"
     for name, size in report.scatter.items():
-        click.echo(f"  {name} scatters from trial to trial by {size} in each direction")
+        yield f"  {name} scatters from trial to trial by {size} in each direction"
     for pair in report.selection.confounded:
-        click.echo(f"  {' and '.join(pair['effects'])} are confounded: {pair['evidence']}")
-    click.echo("wrote " + ", ".join(str(p) for p in written))
+        yield f"  {' and '.join(pair['effects'])} are confounded: {pair['evidence']}"
 
 
 def _write_template(kind: str, out: Path) -> None:
