@@ -5,6 +5,7 @@ import pytest
 import warp as wp
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import deployment_tangents as kernels
+from wrod.kernels.stepping.pace import Pace
 
 
 @pytest.mark.parametrize("nodes", [4, 9, 31])
@@ -33,7 +34,8 @@ def test_solutions_are_those_of_the_whole_matrix(nodes):
     for r, a in zip(*np.nonzero(free == 0), strict=True):
         matrix[r, a] = np.eye(n)[a]
     wanted = np.linalg.solve(matrix, x)
-    nothing = wp.zeros(2, dtype=wp.float64, device="cpu")
+    pace = Pace()
+    pace.accepted, pace.time = rods, wp.zeros(2, dtype=wp.float64, device="cpu")
     for size, kernel in ((8, kernels.solve_tangents), (1, kernels.solve_tangents_lanes)):
         packs = 8 // size
         dim = (2, packs) if size > 1 else (2, packs, 1)
@@ -42,7 +44,7 @@ def test_solutions_are_those_of_the_whole_matrix(nodes):
             np.ascontiguousarray(columns), dtype=kernels.vector_of(size), device="cpu"
         )
         begin = wp.zeros((2, packs), dtype=wp.float64, device="cpu")
-        inputs = [begin, rods, nothing, factor]
+        inputs = [begin, pace, factor]
         wp.launch(kernel, dim, inputs=inputs, outputs=[solution], device="cpu")
         found = solution.numpy().reshape(2, packs, n, size).transpose(0, 2, 1, 3).reshape(x.shape)
         np.testing.assert_allclose(found, wanted, atol=1e-12)

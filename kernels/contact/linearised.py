@@ -15,6 +15,27 @@ from wrod.kernels.elastic.frames import ONE, ZERO, node
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.struct
+class LinearContact:
+    """How contact at a node answers, over a time step.
+
+    Attributes:
+        friction, by_coefficient: friction's derivative by the bristle and by the coefficient.
+        push: residual of contact.
+        memory, sliding_memory: what, of contact and of friction alone, depends on where the node
+            was before, as the normal force is viscous.
+        roll, torque: how stiffly, and by which torque, its roll is held.
+    """
+
+    friction: wp.mat33d
+    by_coefficient: wp.vec3d
+    push: wp.vec3d
+    memory: wp.mat33d
+    sliding_memory: wp.mat33d
+    roll: wp.float64
+    torque: wp.float64
+
+
 @wp.kernel
 def linearise_contact(
     # Model:
@@ -28,29 +49,16 @@ def linearise_contact(
     sliding: wp.array3d(dtype=wp.int32),
     turned: wp.array3d(dtype=wp.float64),
     # Out:
-    friction_out: wp.array2d(dtype=wp.mat33d),
+    contact_out: wp.array2d(dtype=LinearContact),
     coupling_out: wp.array2d(dtype=wp.mat33d),
-    by_coefficient_out: wp.array2d(dtype=wp.vec3d),
-    push_out: wp.array2d(dtype=wp.vec3d),
-    memory_out: wp.array2d(dtype=wp.mat33d),
-    sliding_memory_out: wp.array2d(dtype=wp.mat33d),
-    roll_out: wp.array2d(dtype=wp.float64),
-    torque_out: wp.array2d(dtype=wp.float64),
 ):
-    """Of each node: friction's derivative by the bristle, by the normal displacement, by the
-    coefficient; the residual of contact; and what, of contact and of friction alone, depends on
-    where the node was before, as the normal force is viscous; and how stiffly and by which torque
-    its roll is held. The bound of a roll that slides is taken as constant."""
+    """Of each node, and friction's derivative by the normal displacement. The bound of a roll that
+    slides is taken as constant."""
     r, i = wp.tid()
     if accepted[r] == 0:
         return
-    friction = wp.mat33d()
+    out = LinearContact()
     coupling = wp.mat33d()
-    by_coefficient = wp.vec3d()
-    push = wp.vec3d()
-    memory = wp.mat33d()
-    roll = wp.vec2d(ZERO, ZERO)
-    sliding_memory = wp.mat33d()
     c = touch(model, dof, dof_before, bristle[r, 0, i], r, 0, i)
     if c.force > ZERO:
         law = present_force(model, c.depth, c.closing, step[r], r, i)
@@ -63,25 +71,22 @@ def linearise_contact(
         if c.closing < c.depth:
             remembered = law[1] * lag / (ONE + lag)
         n = c.normal
-        memory = -remembered * wp.outer(n, n)
+        out.memory = -remembered * wp.outer(n, n)
         held = return_mapping(c.bristle, n, model.stiffness[r, i], mu * law[0])
         if held.slides > ZERO:
             way = c.bristle / wp.length(c.bristle)
             coupling = wp.outer(way, slope - mu * law[1] * n)
-            by_coefficient = factor[0] * law[0] * way
-            sliding_memory = mu * remembered * wp.outer(way, n)
-        friction = held.tangential
-        push = held.pull - law[0] * n
+            out.by_coefficient = factor[0] * law[0] * way
+            out.sliding_memory = mu * remembered * wp.outer(way, n)
+            out.memory = out.memory + out.sliding_memory
+        out.friction = held.tangential
+        out.push = held.pull - law[0] * n
         if model.roll_friction[r, 0] >= ZERO:
             arm = model.radius[r, i]
             turn = node_turn(dof, dof_before, turned[r, 0, i], r, i)
             limit = model.roll_friction[r, 0] * law[0] * arm
             roll = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)
-    friction_out[r, i] = friction
+            out.torque = roll[0]
+            out.roll = roll[1]
+    contact_out[r, i] = out
     coupling_out[r, i] = coupling
-    by_coefficient_out[r, i] = by_coefficient
-    push_out[r, i] = push
-    memory_out[r, i] = memory + sliding_memory
-    sliding_memory_out[r, i] = sliding_memory
-    roll_out[r, i] = roll[1]
-    torque_out[r, i] = roll[0]

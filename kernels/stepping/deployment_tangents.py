@@ -19,10 +19,18 @@ from functools import cache
 from typing import Any
 
 import warp as wp
+from wrod.kernels.contact.linearised import LinearContact
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
 from wrod.kernels.linear.banded_lu import ALONE, substitute, substitute_lanes
-from wrod.kernels.stepping.flow_tangents import along, of_vector
+from wrod.kernels.stepping.flow_tangents import (
+    along,
+    is_under_way,
+    load_flow,
+    measure_strain_rates,
+    of_vector,
+)
 from wrod.kernels.stepping.grip import spline
+from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})
 
@@ -41,36 +49,33 @@ def elastic_forces(
     node_mass: wp.array2d(dtype=wp.float64),
     gravity: wp.array(dtype=wp.vec3d),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    step: wp.array(dtype=wp.float64),
-    coefficient: wp.array(dtype=wp.vec3d),
+    pace: Pace,
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
     dof_older: wp.array2d(dtype=wp.float64),
     velocity: wp.array2d(dtype=wp.float64),
     velocity_older: wp.array2d(dtype=wp.float64),
     residual: wp.array2d(dtype=wp.float64),
-    push: wp.array2d(dtype=wp.vec3d),
-    torque: wp.array2d(dtype=wp.float64),
+    contact: wp.array2d(dtype=LinearContact),
     # Out:
     elastic_out: wp.array2d(dtype=wp.float64),
 ):
     """Gradient of the elastic energy: what is left of a step's residual."""
     r, a = wp.tid()
-    if accepted[r] == 0:
+    if pace.accepted[r] == 0:
         return
-    c = coefficient[r]
-    dt = step[r]
+    c = pace.coefficient[r]
+    dt = pace.step[r]
     v = (c[0] * dof[r, a] + c[1] * dof_before[r, a] + c[2] * dof_older[r, a]) / dt
     acceleration = (c[0] * v + c[1] * velocity[r, a] + c[2] * velocity_older[r, a]) / dt
     value = residual[r, a] - mass[r, a] * (acceleration + air_damping[r] * v)
     k = a % 4
     if k < 3:
         i = a / 4
-        value += node_mass[r, i] * gravity[r][k] - push[r, i][k]
+        value += node_mass[r, i] * gravity[r][k] - contact[r, i].push[k]
     else:
         for m in range(a / 4, a / 4 + 2):
-            value -= share_of(m, torque.shape[1]) * torque[r, m]
+            value -= share_of(m, contact.shape[1]) * contact[r, m].torque
     elastic_out[r, a] = value
 
 
@@ -97,7 +102,7 @@ def turn_around(angles: wp.array3d(dtype=Any), r: int, p: int, i: int):
 @wp.kernel
 def measure_winding(
     # State in:
-    accepted: wp.array(dtype=wp.int32),
+    pace: Pace,
     dof: wp.array2d(dtype=wp.float64),
     tangent_before: wp.array2d(dtype=wp.vec3d),
     tangent: wp.array2d(dtype=wp.vec3d),
@@ -111,7 +116,7 @@ def measure_winding(
     the torque on it from outside, for what its stiffness lacks of symmetry (see
     `kernels.grasping.grip_torque`)."""
     r, e = wp.tid()
-    if accepted[r] != 0:
+    if pace.accepted[r] != 0:
         t = tangent_before[r, e]
         u = tangent[r, e]
         length = wp.length(edge(dof, r, e))
@@ -144,18 +149,11 @@ def load_tangents(
     air_damping: wp.array(dtype=wp.float64),
     friction_rate: wp.array3d(dtype=Any),
     stiffness_rate: wp.array2d(dtype=Any),
-    roll: wp.array2d(dtype=wp.float64),
     begin: wp.array2d(dtype=wp.float64),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
+    pace: Pace,
     free: wp.array2d(dtype=wp.int32),
-    time: wp.array(dtype=wp.float64),
-    step: wp.array(dtype=wp.float64),
-    coefficient: wp.array(dtype=wp.vec3d),
-    friction: wp.array2d(dtype=wp.mat33d),
-    by_coefficient: wp.array2d(dtype=wp.vec3d),
-    push: wp.array2d(dtype=wp.vec3d),
-    memory: wp.array2d(dtype=wp.mat33d),
+    contact: wp.array2d(dtype=LinearContact),
     elastic: wp.array2d(dtype=wp.float64),
     winding: wp.array2d(dtype=wp.vec3d),
     torque: wp.array2d(dtype=wp.vec3d),
@@ -170,15 +168,16 @@ def load_tangents(
 ):
     """Right-hand sides at node i and the edge after it: minus the rates of what holds it."""
     r, p, i = wp.tid()
-    if accepted[r] == 0 or time[r] < begin[r, p]:
+    if not is_under_way(pace, begin, r, p):
         return
     n = now.shape[2]
-    c = coefficient[r] / step[r]
+    c = pace.coefficient[r] / pace.step[r]
     # Of the acceleration and the velocity, by what was.
     by_place = c[0] + air_damping[r]
-    touches = push[r, i][2] != ZERO
-    by_bristle = friction[r, i]
-    by_node = memory[r, i] - by_bristle
+    here = contact[r, i]
+    touches = here.push[2] != ZERO
+    by_bristle = here.friction
+    by_node = here.memory - by_bristle
     for k in range(4):
         a = 4 * i + k
         if a < n:
@@ -190,7 +189,7 @@ def load_tangents(
                 x += (m0 * c[1]) * velocity[r, p, a] + (m0 * c[2]) * velocity_older[r, p, a]
                 x -= elastic[r, a] * stiffness_rate[r, p]
                 if k < 3 and touches:
-                    x -= by_coefficient[r, i][k] * friction_rate[r, p, i]
+                    x -= here.by_coefficient[k] * friction_rate[r, p, i]
                     for m in range(3):
                         x -= by_bristle[k, m] * bristle[r, p, 3 * i + m]
                         x -= by_node[k, m] * now[r, p, 4 * i + m]
@@ -201,8 +200,9 @@ def load_tangents(
                         x += along(leaning(torque[r, i], k), now, r, p, i)
                 if k == 3:
                     for m in range(i, i + 2):
-                        if roll[r, m] > ZERO:
-                            share = share_of(m, roll.shape[1]) * roll[r, m]
+                        roll = contact[r, m].roll
+                        if roll > ZERO:
+                            share = share_of(m, contact.shape[1]) * roll
                             turn = turned[r, p, m] - turn_around(now, r, p, m)
                             # The end's displacements are nearly those of the start.
                             x -= share * (turn + TWO * wound(winding, now, r, p, m))
@@ -217,9 +217,8 @@ def load_grip(
     rates: wp.array4d(dtype=Any),
     begin: wp.array2d(dtype=wp.float64),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
+    pace: Pace,
     free: wp.array2d(dtype=wp.int32),
-    time: wp.array(dtype=wp.float64),
     edge_tangent: wp.array2d(dtype=wp.vec3d),
     # Out:
     x_out: wp.array3d(dtype=Any),
@@ -227,10 +226,10 @@ def load_grip(
     """Where the grip, while it holds, moves the rod's end and the ghost edge beyond it."""
     r, p = wp.tid()
     n = x_out.shape[2]
-    if accepted[r] == 0 or time[r] < begin[r, p] or free[r, n - 1] != 0:
+    if not is_under_way(pace, begin, r, p) or free[r, n - 1] != 0:
         return
     m = wp.min(r, rates.shape[0] - 1)
-    at = wp.clamp(time[r] / interval, ZERO, wp.float64(rates.shape[2] - 1))
+    at = wp.clamp(pace.time[r] / interval, ZERO, wp.float64(rates.shape[2] - 1))
     k = wp.min(int(wp.floor(at)), rates.shape[2] - 2)
     y = at - wp.float64(k)
     e = rest_length.shape[1] - 1
@@ -256,15 +255,14 @@ def solve_tangents(
     # Model:
     begin: wp.array2d(dtype=wp.float64),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    time: wp.array(dtype=wp.float64),
+    pace: Pace,
     factor: wp.array3d(dtype=wp.float64),
     # State in and out:
     x: wp.array3d(dtype=Any),
 ):
     """The tangents at the end of the step."""
     r, p = wp.tid()
-    if accepted[r] == 0 or time[r] < begin[r, p]:
+    if not is_under_way(pace, begin, r, p):
         return
     substitute(factor, r, p, x)
 
@@ -274,15 +272,14 @@ def solve_tangents_lanes(
     # Model:
     begin: wp.array2d(dtype=wp.float64),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    time: wp.array(dtype=wp.float64),
+    pace: Pace,
     factor: wp.array3d(dtype=wp.float64),
     # State in and out:
     x: wp.array3d(dtype=ALONE),
 ):
     """`solve_tangents` on a GPU, launched over (rod, direction, lane) in blocks of a warp."""
     r, p, _lane = wp.tid()
-    if accepted[r] != 0 and time[r] >= begin[r, p]:
+    if is_under_way(pace, begin, r, p):
         substitute_lanes(factor, r, p, x)
 
 
@@ -293,14 +290,9 @@ def carry_bristles(
     friction_rate: wp.array3d(dtype=Any),
     begin: wp.array2d(dtype=wp.float64),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    time: wp.array(dtype=wp.float64),
-    friction: wp.array2d(dtype=wp.mat33d),
+    pace: Pace,
+    contact: wp.array2d(dtype=LinearContact),
     coupling: wp.array2d(dtype=wp.mat33d),
-    by_coefficient: wp.array2d(dtype=wp.vec3d),
-    push: wp.array2d(dtype=wp.vec3d),
-    sliding_memory: wp.array2d(dtype=wp.mat33d),
-    roll: wp.array2d(dtype=wp.float64),
     winding: wp.array2d(dtype=wp.vec3d),
     x: wp.array3d(dtype=Any),
     now: wp.array3d(dtype=Any),
@@ -310,16 +302,17 @@ def carry_bristles(
 ):
     """What friction remembers at node i at the end of the step."""
     r, p, i = wp.tid()
-    if accepted[r] == 0 or time[r] < begin[r, p]:
+    if not is_under_way(pace, begin, r, p):
         return
     b0 = type(x[r, p, 0])()
     b1 = type(x[r, p, 0])()
     b2 = type(x[r, p, 0])()
-    if push[r, i][2] != ZERO:
-        d = friction[r, i]
+    here = contact[r, i]
+    if here.push[2] != ZERO:
+        d = here.friction
         g = coupling[r, i]
-        h = sliding_memory[r, i]
-        f = by_coefficient[r, i]
+        h = here.sliding_memory
+        f = here.by_coefficient
         inverse = ONE / stiffness[r, i]
         b0 = f[0] * friction_rate[r, p, i]
         b1 = f[1] * friction_rate[r, p, i]
@@ -335,7 +328,7 @@ def carry_bristles(
         b1 = inverse * b1
         b2 = inverse * b2
     turn = type(x[r, p, 0])()
-    if roll[r, i] > ZERO:
+    if here.roll > ZERO:
         turn = turned[r, p, i] + turn_around(x, r, p, i) - turn_around(now, r, p, i)
         turn += wound(winding, now, r, p, i) + wound(winding, x, r, p, i)
     turned[r, p, i] = turn
@@ -349,10 +342,7 @@ def advance_tangents(
     # Model:
     begin: wp.array2d(dtype=wp.float64),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    time: wp.array(dtype=wp.float64),
-    step: wp.array(dtype=wp.float64),
-    coefficient: wp.array(dtype=wp.vec3d),
+    pace: Pace,
     x: wp.array3d(dtype=Any),
     # State in and out:
     now: wp.array3d(dtype=Any),
@@ -362,9 +352,9 @@ def advance_tangents(
 ):
     """Shift the history of the tangents by a step."""
     r, p, a = wp.tid()
-    if accepted[r] == 0 or time[r] < begin[r, p]:
+    if not is_under_way(pace, begin, r, p):
         return
-    c = coefficient[r] / step[r]
+    c = pace.coefficient[r] / pace.step[r]
     v = c[0] * x[r, p, a] + c[1] * now[r, p, a] + c[2] * older[r, p, a]
     velocity_older[r, p, a] = velocity[r, p, a]
     velocity[r, p, a] = v
@@ -372,19 +362,12 @@ def advance_tangents(
     now[r, p, a] = x[r, p, a]
 
 
-def _of(dtype: type, known):
-    """The type of an argument, with vectors of that type where any will do."""
-    if getattr(known, "dtype", None) is Any:
-        return wp.array(dtype=dtype, ndim=known.ndim)
-    return known
-
-
 @cache
 def vector_of(size: int) -> type:
     """The type of `size` directions that a thread carries, for which the kernels are then built."""
     dtype = ALONE if size == 1 else wp.types.vector(length=size, dtype=wp.float64)
-    for kernel in (load_tangents, load_grip, solve_tangents, carry_bristles, advance_tangents):
-        known = kernel.adj.arg_types.values()
-        wp.overload(kernel, [_of(dtype, t) for t in known])
-    of_vector(dtype)
+    of_vector(
+        dtype, load_tangents, load_grip, solve_tangents, carry_bristles, advance_tangents,
+        measure_strain_rates, load_flow,
+    )  # fmt: skip
     return dtype

@@ -1,14 +1,20 @@
 """What a tangent of a deployment feels of the rod's shape at rest: its own rate, and the flow that
 internal damping makes of it (`viscosity`), which remembers the strains of two steps."""
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 from wrod.kernels.elastic.curvature import component, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
+from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def is_under_way(pace: Pace, begin: wp.array2d(dtype=wp.float64), r: int, p: int) -> bool:
+    """Whether a step of the rod was accepted, and its pack has begun."""
+    return pace.accepted[r] != 0 and pace.time[r] >= begin[r, p]
 
 
 @wp.func
@@ -58,9 +64,7 @@ def linearise_flow(
     twisting: wp.array2d(dtype=wp.float64),
     viscous_time: wp.array2d(dtype=wp.vec4d),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    step: wp.array(dtype=wp.float64),
-    coefficient: wp.array(dtype=wp.vec3d),
+    pace: Pace,
     dof: wp.array2d(dtype=wp.float64),
     director: wp.array2d(dtype=wp.vec3d),
     strain_before: wp.array2d(dtype=wp.vec4d),
@@ -70,7 +74,7 @@ def linearise_flow(
 ):
     """At node i and the edge after it, at the end of the step."""
     r, i = wp.tid()
-    if accepted[r] == 0:
+    if pace.accepted[r] == 0:
         return
     out = Strains()
     eta = viscous_time[r, i]
@@ -96,7 +100,7 @@ def linearise_flow(
         moment = wp.diag(b)
         if law[0] != ZERO:
             # M = B e (r + (1 - r) / D), D = 1 + 2 c (B_1 e_1^2 + B_2 e_2^2) / (B_1 + B_2).
-            c = coefficient[r] / step[r]
+            c = pace.coefficient[r] / pace.step[r]
             was = strain_before[r, i]
             past = strain_older[r, i]
             flow_1 = c[0] * first.kappa + c[1] * was[0] + c[2] * past[0]
@@ -121,8 +125,7 @@ def measure_strain_rates(
     # Model:
     begin: wp.array2d(dtype=wp.float64),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    time: wp.array(dtype=wp.float64),
+    pace: Pace,
     strains: wp.array2d(dtype=Strains),
     x: wp.array3d(dtype=Any),
     # State in and out: (rod, pack, 4 i + k), curvatures, twist and |e| after node i
@@ -131,7 +134,7 @@ def measure_strain_rates(
 ):
     """Rates of the strains at the end of the step; shifts those of the step before."""
     r, p, i = wp.tid()
-    if accepted[r] == 0 or time[r] < begin[r, p]:
+    if not is_under_way(pace, begin, r, p):
         return
     a = 4 * i
     for k in range(4):
@@ -192,11 +195,8 @@ def load_flow(
     # Rates of the natural curvature towards both principal directions:
     natural_rate: wp.array3d(dtype=Any),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
+    pace: Pace,
     free: wp.array2d(dtype=wp.int32),
-    time: wp.array(dtype=wp.float64),
-    step: wp.array(dtype=wp.float64),
-    coefficient: wp.array(dtype=wp.vec3d),
     strains: wp.array2d(dtype=Strains),
     now: wp.array3d(dtype=Any),
     older: wp.array3d(dtype=Any),
@@ -207,9 +207,9 @@ def load_flow(
     of the angle of the edge after it, by what the rod is at rest and by strains that damping
     remembers."""
     r, p, i = wp.tid()
-    if accepted[r] == 0 or time[r] < begin[r, p]:
+    if not is_under_way(pace, begin, r, p):
         return
-    c = coefficient[r] / step[r]
+    c = pace.coefficient[r] / pace.step[r]
     a = 4 * i
     # On the vectors of the edges before and after, and on the angle after.
     e0 = type(x[r, p, a])()
@@ -251,10 +251,9 @@ def load_flow(
         x[r, p, a + 2] = x[r, p, a + 2] + (f2 - e2)
 
 
-@cache
-def of_vector(dtype: type) -> None:
-    """Build the kernels for packs of that type."""
-    for kernel in (measure_strain_rates, load_flow):
+def of_vector(dtype: type, *kernels: wp.Kernel) -> None:
+    """Build kernels for arrays of vectors of that type, where they take any."""
+    for kernel in kernels:
         known = kernel.adj.arg_types.values()
         wp.overload(
             kernel,

@@ -4,6 +4,7 @@ import numpy as np
 import warp as wp
 
 from wrod.deployment.grip_path import KEY_INTERVAL
+from wrod.kernels.contact.linearised import LinearContact
 from wrod.kernels.lanes import lanes
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import deployment_tangents as kernels
@@ -85,9 +86,7 @@ class Tangents:
         def per_node(dtype):
             return wp.zeros((rods, nodes), dtype=dtype, device=device)
 
-        self.friction, self.coupling = per_node(wp.mat33d), per_node(wp.mat33d)
-        self.by_coefficient, self.push = per_node(wp.vec3d), per_node(wp.vec3d)
-        self.memory, self.sliding_memory = per_node(wp.mat33d), per_node(wp.mat33d)
+        self.linear_contact, self.coupling = per_node(LinearContact), per_node(wp.mat33d)
         self.elastic = wp.zeros((rods, dofs), dtype=wp.float64, device=device)
         self.bends = bool(natural_curvature.any())
         self.strain, self.strain_older = zeros(4 * nodes), zeros(4 * nodes)
@@ -95,7 +94,6 @@ class Tangents:
         self.matrix = banded_lu.NodeCoupled()
         self.matrix.hessian, self.matrix.coupling = batch.derivatives.hessian, self.coupling
         self.factor = wp.zeros((rods, dofs, banded_lu.BAND), dtype=wp.float64, device=device)
-        self.roll, self.torque = per_node(wp.float64), per_node(wp.float64)
         self.turned = zeros(nodes)
         self.winding, self.turning = (
             wp.zeros((rods, nodes - 1), dtype=wp.vec3d, device=device) for _ in range(2)
@@ -135,23 +133,21 @@ class Tangents:
         def launch(kernel, dim, inputs, outputs):
             batch.launch(kernel, dim, inputs, outputs)
 
-        about_contact = [self.friction, self.coupling, self.by_coefficient, self.push]
-        memory = [self.memory, self.sliding_memory, self.roll, self.torque]
-        self.contact.linearise(accepted, state.dof, start.dof, about_contact + memory)
+        pace, touching = dynamics.pace, [self.linear_contact, self.coupling]
+        self.contact.linearise(accepted, state.dof, start.dof, touching)
         launch(
             kernels.elastic_forces,
             (rods, dofs),
-            [dynamics.mass, dynamics.air_damping, batch.node_mass, batch.gravity, accepted]
-            + [dynamics.step, dynamics.coefficient, state.dof, start.dof, dynamics.dof_older]
-            + [dynamics.velocity, dynamics.velocity_older, out.gradient, self.push]
-            + [self.torque],
+            [dynamics.mass, dynamics.air_damping, batch.node_mass, batch.gravity, pace]
+            + [state.dof, start.dof, dynamics.dof_older]
+            + [dynamics.velocity, dynamics.velocity_older, out.gradient, self.linear_contact],
             [self.elastic],
         )
         if self.contact.holds_roll:
             launch(
                 kernels.measure_winding,
                 (rods, batch.node_count - 1),
-                [accepted, state.dof, start.tangent, state.tangent, self.elastic],
+                [pace, state.dof, start.tangent, state.tangent, self.elastic],
                 [self.winding, self.turning],
             )
         launch(
@@ -166,41 +162,31 @@ class Tangents:
             kernels.load_tangents,
             (rods, self.packs, batch.node_count),
             [dynamics.mass, dynamics.air_damping, self.friction_rate, self.stiffness_rate]
-            + [self.roll, self.begin, accepted, batch.free, dynamics.time]
-            + [dynamics.step, dynamics.coefficient, self.friction, self.by_coefficient, self.push]
-            + [
-                self.memory,
-                self.elastic,
-                self.winding,
-                self.turning,
-                *tangents,
-                self.bristle,
-                self.turned,
-            ],
+            + [self.begin, pace, batch.free, self.linear_contact, self.elastic]
+            + [self.winding, self.turning, *tangents, self.bristle, self.turned],
             [self.x],
         )
         self._load_flow(dynamics)
         launch(
             kernels.load_grip,
             (rods, self.packs),
-            [batch.rest_length, wp.float64(KEY_INTERVAL), self.path, self.begin, accepted]
-            + [batch.free, dynamics.time, state.tangent],
+            [batch.rest_length, wp.float64(KEY_INTERVAL), self.path, self.begin, pace]
+            + [batch.free, state.tangent],
             [self.x],
         )
-        self._solve([self.begin, accepted, dynamics.time, self.factor])
+        self._solve([self.begin, pace, self.factor])
         self._measure_flow(dynamics)
         launch(
             kernels.carry_bristles,
             (rods, self.packs, batch.node_count),
-            [self.contact.tangent_stiffness, self.friction_rate, self.begin, accepted]
-            + [dynamics.time, *about_contact, self.sliding_memory, self.roll]
-            + [self.winding, self.x, self.now],
+            [self.contact.tangent_stiffness, self.friction_rate, self.begin, pace]
+            + [*touching, self.winding, self.x, self.now],
             [self.bristle, self.turned],
         )
         launch(
             kernels.advance_tangents,
             (rods, self.packs, dofs),
-            [self.begin, accepted, dynamics.time, dynamics.step, dynamics.coefficient, self.x],
+            [self.begin, pace, self.x],
             tangents,
         )
 
@@ -208,23 +194,22 @@ class Tangents:
         viscosity, batch = dynamics.viscosity, self.batch
         if not (self.bends or viscosity.exists):
             return
-        state, accepted = batch.state, dynamics.accepted
+        state, pace = batch.state, dynamics.pace
         rest, stretching, bending, _, natural, softening, twisting, _ = batch.elastic_model
         past = [self.unstrained] * 2
         if viscosity.exists:
             past = [viscosity.strain, viscosity.strain_older]
-        pace = [dynamics.step, dynamics.coefficient]
         batch.launch(
             flow_tangents.linearise_flow,
             (batch.rod_count, batch.node_count - 1),
-            [rest, stretching, bending, natural, softening, twisting, viscosity.time, accepted]
-            + [*pace, state.dof, state.director, *past],
+            [rest, stretching, bending, natural, softening, twisting, viscosity.time, pace]
+            + [state.dof, state.director, *past],
             [self.strains],
         )
         batch.launch(
             flow_tangents.load_flow,
             (batch.rod_count, self.packs, batch.node_count),
-            [self.begin, self.natural_rate, accepted, batch.free, dynamics.time, *pace]
+            [self.begin, self.natural_rate, pace, batch.free]
             + [self.strains, self.strain, self.strain_older],
             [self.x],
         )
@@ -234,7 +219,7 @@ class Tangents:
             self.batch.launch(
                 flow_tangents.measure_strain_rates,
                 (self.batch.rod_count, self.packs, self.batch.node_count - 1),
-                [self.begin, dynamics.accepted, dynamics.time, self.strains, self.x],
+                [self.begin, dynamics.pace, self.strains, self.x],
                 [self.strain, self.strain_older],
             )
 

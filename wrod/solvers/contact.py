@@ -311,7 +311,7 @@ class Contact(OnDevice):
         Args:
             accepted: (rod,) whose steps are.
             dof, dof_before: (rod, dof) at the end and at the start of the steps.
-            outputs: (rod, node) each: see `wrod.kernels.contact.linearised`.
+            outputs: (rod, node) each: see `wrod.kernels.contact.linearised.linearise_contact`.
         """
         self.batch.launch(
             linearised.linearise_contact,
