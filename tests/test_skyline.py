@@ -6,6 +6,8 @@ import warp as wp
 from wrod.kernels.lanes import TEAM, lanes
 from wrod.kernels.linear import skyline, skyline_ends, skyline_lanes, skyline_order
 
+from wrod.solvers.coupled import skyline_of
+
 needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
 WAYS = [
     pytest.param(skyline, "cpu", id="thread-cpu"),
@@ -55,22 +57,18 @@ class System:
         self.kernels, self.device, self.nodes = kernels, device, nodes
         self.most = max(1, *(len(p) for p in pairs))
         self.capacity = nodes * (nodes + 1) // 2 if capacity is None else capacity
-        self.coupled = self.array(np.ones(RODS), wp.int32)
-        self.overflow, self.reach = (self.array(np.zeros(RODS), wp.int32) for _ in range(2))
+        coupled, overflow = (self.array(np.full(RODS, k), wp.int32) for k in (1, 0))
+        self.skyline = skyline_of(coupled, overflow, nodes)
         table = np.zeros((RODS, self.most, 3))
         for r, chosen in enumerate(pairs):
             table[r, : len(chosen), :2] = chosen
         self.count = self.array([len(p) for p in pairs], wp.int32)
         self.touching = self.array(table, wp.vec3i)
         scratch = [self.zeros(wp.int32) for _ in range(2)]
-        self.rank, self.order, self.first, self.last, self.row = (
-            self.zeros(wp.int32) for _ in range(5)
-        )
         self.launch(
             skyline_order.renumber,
             [
-                self.coupled,
-                self.coupled,
+                coupled,
                 self.zeros(wp.int32),  # pieces: edges
                 self.count,
                 self.touching,
@@ -78,7 +76,7 @@ class System:
                 nodes if most_reach is None else most_reach,
                 *scratch,
             ],
-            [self.rank, self.order, self.first, self.last, self.row, self.reach, self.overflow],
+            [self.skyline],
         )
 
     def array(self, values, dtype):
@@ -100,7 +98,8 @@ class System:
 
     def fill(self, matrices, free):
         """Store matrices; prescribed rows and columns are those of the identity."""
-        rank, first, row = (a.numpy() for a in (self.rank, self.first, self.row))
+        m = self.skyline
+        rank, first, row = (a.numpy() for a in (m.rank, m.first, m.row))
         block = np.zeros((RODS, self.capacity, 4, 4))
         for r, (m, f) in enumerate(zip(matrices, free, strict=True)):
             padded = np.eye(4 * self.nodes)
@@ -117,19 +116,18 @@ class System:
         """(rod,) negative pivots, or -1, and solutions."""
         negative = wp.full(RODS, -1, dtype=wp.int32, device=self.device)
         x = self.array(np.zeros_like(right), wp.float64)
-        chosen = [self.coupled, self.overflow, self.reach, skyline_ends.reach_of(self.nodes)]
-        profile = [self.order, self.first, self.last, self.row]
+        chosen = [self.skyline, skyline_ends.reach_of(self.nodes)]
         gradient = self.array(right[:, 0], wp.float64)
         width = skyline_ends.scratch_of(self.nodes)
         factor = wp.full((RODS, width), np.nan, dtype=wp.float64, device=self.device)
         halves = wp.zeros((RODS, 2), dtype=wp.int32, device=self.device)
         self.launch(
             skyline_ends.eliminate,
-            [*chosen, self.free, *profile, gradient, self.block],
+            [*chosen, self.free, gradient, self.block],
             [self.zeros(wp.int32), self.zeros(wp.float64, 4), factor, halves],
             ends=2,
         )
-        inputs = [*chosen, self.order, self.last, gradient, halves, factor]
+        inputs = [*chosen, gradient, halves, factor]
         self.launch(skyline_ends.go_back, inputs, [x, negative], ends=2)
         return negative.numpy().copy(), x.numpy().copy()
 
@@ -137,7 +135,7 @@ class System:
         """(rod,) negative pivots."""
         self.fill(matrices, free)
         negative = wp.full(RODS, -1, dtype=wp.int32, device=self.device)
-        inputs = [*self.chosen, *self.profile]
+        inputs = self.chosen
         if self.kernels is skyline_lanes:
             widths = (4, skyline_lanes.STRIDE, skyline_lanes.STRIDE)
             inputs += [self.zeros(wp.float64, width) for width in widths]
@@ -148,13 +146,7 @@ class System:
     def chosen(self):
         """Which rods: all, of any reach."""
         by_lanes = self.kernels is skyline_lanes
-        return [self.coupled, self.overflow, *([self.reach, 0] if by_lanes else [])]
-
-    @property
-    def profile(self):
-        """(first, row), between them the last row of a column where lanes ask for it."""
-        by_lanes = self.kernels is skyline_lanes
-        return [self.first, self.last, self.row] if by_lanes else [self.first, self.row]
+        return [self.skyline, *([0] if by_lanes else [])]
 
     @property
     def stored(self):
@@ -167,7 +159,7 @@ class System:
     def factor(self):
         """(rod, block, 4, 4), diagonal blocks without what is above their pivots."""
         out = self.block.numpy().reshape(RODS, -1, 4, 4).copy()
-        diagonal = self.row.numpy() + np.arange(self.nodes)
+        diagonal = self.skyline.row.numpy() + np.arange(self.nodes)
         for r in range(RODS):
             out[r, diagonal[r]] = np.tril(out[r, diagonal[r]])
         return out
@@ -176,8 +168,7 @@ class System:
         x = self.array(right, wp.float64)
         by_lanes = self.kernels is skyline_lanes
         y = self.zeros(wp.float64, 4) if by_lanes else self.zeros(wp.vec4d)
-        chosen = [*self.chosen, self.free, self.order]
-        self.launch(self.kernels.solve, [*chosen, *self.profile, self.stored, y], [x])
+        self.launch(self.kernels.solve, [*self.chosen, self.free, self.stored, y], [x])
         return x.numpy().copy()
 
 
@@ -245,14 +236,14 @@ def test_order_goes_by_the_distance_from_an_end(kernels, device, nodes, count):
         assert turned.any() == (most < nodes and count > 5)
         for r, end in enumerate(turned.astype(int)):
             order, first, last = expected[r][end]
-            assert (system.order.numpy()[r] == order).all()
-            assert (system.rank.numpy()[r][order] == np.arange(nodes)).all()
-            assert (system.first.numpy()[r] == first).all()
-            assert (system.last.numpy()[r] == last).all()
-            assert system.reach.numpy()[r] == reach[r, end]
+            assert (system.skyline.order.numpy()[r] == order).all()
+            assert (system.skyline.rank.numpy()[r][order] == np.arange(nodes)).all()
+            assert (system.skyline.first.numpy()[r] == first).all()
+            assert (system.skyline.last.numpy()[r] == last).all()
+            assert system.skyline.reach.numpy()[r] == reach[r, end]
             # Rows of blocks follow each other without a gap.
             ends = np.cumsum(np.arange(nodes) - first + 1)
-            assert (system.row.numpy()[r] + np.arange(nodes) + 1 == ends).all()
+            assert (system.skyline.row.numpy()[r] + np.arange(nodes) + 1 == ends).all()
 
 
 def order_from(end, nodes, pairs):
@@ -284,7 +275,7 @@ def test_both_ends_find_what_lanes_find_who_do_not_reach_too_far(device, nodes, 
     lanes_x = lanes_system.solve(right)
     system = System(skyline_lanes, device, nodes, pairs)
     system.fill(matrices, free)
-    near = system.reach.numpy() <= skyline_ends.REACH
+    near = system.skyline.reach.numpy() <= skyline_ends.REACH
     negative, x = system.eliminate(right)
     assert near.any() or count > 9
     assert (negative[near] == lanes_negative[near]).all()
@@ -297,7 +288,7 @@ def test_both_ends_find_what_lanes_find_who_do_not_reach_too_far(device, nodes, 
 def test_profile_beyond_the_capacity_is_told_and_left_alone(kernels, device):
     _, pairs, _, right = problem(40, 6)
     system = System(kernels, device, 40, pairs, capacity=10)
-    assert (system.overflow.numpy() == 1).all()
+    assert (system.skyline.overflow.numpy() == 1).all()
     system.block = system.array(np.ones((RODS, 40, 4)), wp.vec4d)
     system.free = system.array(np.ones(right[:, 0].shape), wp.int32)
     assert (system.solve(right) == right).all()

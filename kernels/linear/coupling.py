@@ -14,6 +14,7 @@ from wrod.kernels.contact.pair_contact import (
 from wrod.kernels.contact.segments import EDGE, Nearest, piece_chord, piece_size, turning
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ONE, TWO, ZERO
+from wrod.kernels.linear.skyline_order import Skyline, is_solved
 
 wp.set_module_options({"enable_backward": False})
 
@@ -74,15 +75,10 @@ def clear_blocks(r: int, first: int, to: int, block: wp.array2d(dtype=wp.mat44d)
 @wp.kernel
 def fill_band(
     # State in:
-    coupled: wp.array(dtype=wp.int32),
-    overflow: wp.array(dtype=wp.int32),
+    m: Skyline,
     free: wp.array2d(dtype=wp.int32),
     hessian: wp.array3d(dtype=wp.float64),
     shift: wp.array(dtype=wp.float64),
-    rank: wp.array2d(dtype=wp.int32),
-    order: wp.array2d(dtype=wp.int32),
-    first: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
     lanes: int,
     # State out:
     block_out: wp.array2d(dtype=wp.mat44d),
@@ -90,20 +86,20 @@ def fill_band(
     """Row of node v: blocks of the rod itself, and zero elsewhere. Launched over (rod, node, 5), or
     1: five lanes share a row, one for each node near v along the rod, or one takes all."""
     r, v, k = wp.tid()
-    if coupled[r] == 0 or overflow[r] != 0:
+    if not is_solved(m, r):
         return
-    p = rank[r, v]
-    at = row[r, p]
+    p = m.rank[r, v]
+    at = m.row[r, p]
     if lanes == 1:
-        clear_blocks(r, at + first[r, p], at + p, block_out)
+        clear_blocks(r, at + m.first[r, p], at + p, block_out)
     else:
-        for b in range(first[r, p] + k, p, lanes):
-            if wp.abs(order[r, b] - v) > 2:
+        for b in range(m.first[r, p] + k, p, lanes):
+            if wp.abs(m.order[r, b] - v) > 2:
                 block_out[r, at + b] = wp.mat44d()
     for near in range(k, 5, lanes):
         u = v + near - 2
-        if u >= 0 and u < rank.shape[1]:
-            b = rank[r, u]
+        if u >= 0 and u < m.rank.shape[1]:
+            b = m.rank[r, u]
             if b <= p:
                 store_block(hessian, free, shift, r, v, u, at + b, block_out)
 
@@ -267,8 +263,7 @@ def add_pairs(
     # Model:
     pieces: Pieces,
     # State in:
-    coupled: wp.array(dtype=wp.int32),
-    overflow: wp.array(dtype=wp.int32),
+    skyline: Skyline,
     free: wp.array2d(dtype=wp.int32),
     step: wp.array(dtype=wp.float64),
     dof: wp.array2d(dtype=wp.float64),
@@ -276,15 +271,13 @@ def add_pairs(
     rubbing: Rubbing,
     count: wp.array(dtype=wp.int32),
     touching: wp.array2d(dtype=wp.vec3i),
-    rank: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
     teams: int,
     # State in and out:
     block: wp.array2d(dtype=wp.mat44d),
 ):
     """Add the matrices of all touching pairs of a rod. Launched over (rod, team, lane)."""
     r, team, lane = wp.tid()
-    if coupled[r] == 0 or overflow[r] != 0:
+    if not is_solved(skyline, r):
         return
     # Sixteen lanes share a pair, where there are as many: one for each block of two edges.
     parts = wp.min(wp.block_dim(), 16)
@@ -297,14 +290,14 @@ def add_pairs(
         for k in range(lane % parts, all * all, parts):
             v = node_of(pair, size, k // all)
             u = node_of(pair, size, k % all)
-            p = rank[r, v]
-            q = rank[r, u]
+            p = skyline.rank[r, v]
+            q = skyline.rank[r, u]
             if q <= p:
                 new = block_of(m, pieces, r, pair, k // all, k % all)
                 for x in range(4):
                     for y in range(4):
                         new[x, y] = new[x, y] * free_of(free, r, v, x) * free_of(free, r, u, y)
-                wp.atomic_add(block, r, row[r, p] + q, new)
+                wp.atomic_add(block, r, skyline.row[r, p] + q, new)
 
 
 @wp.kernel

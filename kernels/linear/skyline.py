@@ -10,6 +10,7 @@ import warp as wp
 from wrod.kernels.elastic.frames import ONE, ZERO
 from wrod.kernels.linear.banded import SMALLEST_PIVOT
 from wrod.kernels.linear.coupling import free_of
+from wrod.kernels.linear.skyline_order import Skyline, is_solved
 
 wp.set_module_options({"enable_backward": False})
 
@@ -61,10 +62,7 @@ def factorise_diagonal(m: wp.mat44d, size: wp.vec4d) -> wp.mat44d:
 @wp.kernel
 def factorise(
     # State in:
-    coupled: wp.array(dtype=wp.int32),
-    overflow: wp.array(dtype=wp.int32),
-    first: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
+    m: Skyline,
     # State in and out:
     block: wp.array2d(dtype=wp.mat44d),
     # State out:
@@ -72,24 +70,24 @@ def factorise(
 ):
     """L D L^T in place, block row by block row from left to right."""
     r, _lane = wp.tid()
-    if coupled[r] == 0 or overflow[r] != 0:
+    if not is_solved(m, r):
         return
     negative = int(0)
-    for p in range(first.shape[1]):
-        start = first[r, p]
-        at = row[r, p]
+    for p in range(m.first.shape[1]):
+        start = m.first[r, p]
+        at = m.row[r, p]
         diagonal = block[r, at + p]
         size = wp.vec4d(diagonal[0, 0], diagonal[1, 1], diagonal[2, 2], diagonal[3, 3])
         # Until the second loop the entries are those of L D.
         for b in range(start, p):
             value = block[r, at + b]
-            there = row[r, b]
-            for c in range(wp.max(start, first[r, b]), b):
+            there = m.row[r, b]
+            for c in range(wp.max(start, m.first[r, b]), b):
                 value = value - block[r, at + c] * wp.transpose(block[r, there + c])
             block[r, at + b] = unit_lower_solve(value, block[r, there + b])
         for b in range(start, p):
             value = block[r, at + b]
-            scaled = over_pivots(value, block[r, row[r, b] + b])
+            scaled = over_pivots(value, block[r, m.row[r, b] + b])
             diagonal = diagonal - value * wp.transpose(scaled)
             block[r, at + b] = scaled
         diagonal = factorise_diagonal(diagonal, size)
@@ -103,12 +101,8 @@ def factorise(
 @wp.kernel
 def solve(
     # State in:
-    coupled: wp.array(dtype=wp.int32),
-    overflow: wp.array(dtype=wp.int32),
+    m: Skyline,
     free: wp.array2d(dtype=wp.int32),
-    order: wp.array2d(dtype=wp.int32),
-    first: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
     block: wp.array2d(dtype=wp.mat44d),
     # Scratch:
     y: wp.array2d(dtype=wp.vec4d),
@@ -117,17 +111,17 @@ def solve(
 ):
     """Solve in place for the right-hand side [rod, 0, :]; prescribed ones come out as zero."""
     r, _lane = wp.tid()
-    if coupled[r] == 0 or overflow[r] != 0:
+    if not is_solved(m, r):
         return
-    n = first.shape[1]
+    n = m.first.shape[1]
     for p in range(n):
-        v = order[r, p]
+        v = m.order[r, p]
         value = wp.vec4d()
         for c in range(4):
             if 4 * v + c < x.shape[2]:
                 value[c] = x[r, 0, 4 * v + c] * free_of(free, r, v, c)
-        at = row[r, p]
-        for b in range(first[r, p], p):
+        at = m.row[r, p]
+        for b in range(m.first[r, p], p):
             value = value - block[r, at + b] * y[r, b]
         diagonal = block[r, at + p]
         for c in range(1, 4):
@@ -136,14 +130,14 @@ def solve(
                     value[c] = value[c] - diagonal[c, d] * value[d]
         y[r, p] = value
     for p in range(n):
-        diagonal = block[r, row[r, p] + p]
+        diagonal = block[r, m.row[r, p] + p]
         value = y[r, p]
         for c in range(4):
             value[c] = value[c] / diagonal[c, c]
         y[r, p] = value
     for back in range(n):
         p = n - 1 - back
-        at = row[r, p]
+        at = m.row[r, p]
         diagonal = block[r, at + p]
         value = y[r, p]
         for k in range(4):
@@ -152,9 +146,9 @@ def solve(
                 if d > c:
                     value[c] = value[c] - diagonal[d, c] * value[d]
         y[r, p] = value
-        for b in range(first[r, p], p):
+        for b in range(m.first[r, p], p):
             y[r, b] = y[r, b] - wp.transpose(block[r, at + b]) * value
-        v = order[r, p]
+        v = m.order[r, p]
         for c in range(4):
             if 4 * v + c < x.shape[2]:
                 x[r, 0, 4 * v + c] = value[c]

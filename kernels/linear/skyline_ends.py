@@ -8,6 +8,7 @@ many columns in a row as one block would.
 """
 
 import warp as wp
+from wrod.kernels.linear.skyline_order import Skyline, is_solved
 from wrod.kernels.linear.skyline_window import (
     BACK,
     COLUMN,
@@ -267,15 +268,9 @@ def go_back_to_an_end(
 @wp.kernel
 def eliminate(
     # State in:
-    coupled: wp.array(dtype=wp.int32),
-    overflow: wp.array(dtype=wp.int32),
-    reach: wp.array(dtype=wp.int32),
+    m: Skyline,
     most_reach: int,
     free: wp.array2d(dtype=wp.int32),
-    order: wp.array2d(dtype=wp.int32),
-    first: wp.array2d(dtype=wp.int32),
-    last: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
     gradient: wp.array2d(dtype=wp.float64),
     block: wp.array2d(dtype=wp.vec4d),
     # Scratch: (rod, node); (rod, 4 node), in the new order.
@@ -291,9 +286,9 @@ def eliminate(
     Launched over (rod, end, lane).
     """
     r, side, _lane = wp.tid()
-    if coupled[r] != 0 and overflow[r] == 0 and reach[r] <= most_reach:
+    if is_solved(m, r) and m.reach[r] <= most_reach:
         eliminate_from_an_end(
-            free, order, first, last, row, gradient, block, r, side,
+            free, m.order, m.first, m.last, m.row, gradient, block, r, side,
             reached, y, factor, negative_out,
         )  # fmt: skip
 
@@ -301,12 +296,8 @@ def eliminate(
 @wp.kernel
 def go_back(
     # State in:
-    coupled: wp.array(dtype=wp.int32),
-    overflow: wp.array(dtype=wp.int32),
-    reach: wp.array(dtype=wp.int32),
+    m: Skyline,
     most_reach: int,
-    order: wp.array2d(dtype=wp.int32),
-    last: wp.array2d(dtype=wp.int32),
     gradient: wp.array2d(dtype=wp.float64),
     negative_of: wp.array2d(dtype=wp.int32),
     # State in and out:
@@ -318,10 +309,10 @@ def go_back(
     """The solution from what `eliminate` left; of rods that reach farther the gradient becomes the
     right-hand side."""
     r, side, lane = wp.tid()
-    if coupled[r] == 0 or overflow[r] != 0:
+    if not is_solved(m, r):
         return
-    if reach[r] <= most_reach:
-        go_back_to_an_end(order, last, negative_of, r, side, factor, x, negative_pivots_out)
+    if m.reach[r] <= most_reach:
+        go_back_to_an_end(m.order, m.last, negative_of, r, side, factor, x, negative_pivots_out)
     elif side == 0:
         for a in range(lane, gradient.shape[1], wp.block_dim()):
             x[r, 0, a] = gradient[r, a]

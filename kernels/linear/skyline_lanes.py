@@ -11,6 +11,7 @@ Compiled for a CPU the same source loops over the lanes, so that it can be teste
 
 import warp as wp
 from wrod.kernels.lanes import TEAM
+from wrod.kernels.linear.skyline_order import Skyline, is_solved
 
 wp.set_module_options({"enable_backward": False})
 
@@ -306,13 +307,8 @@ def solve_rod(
 @wp.kernel
 def factorise(
     # State in:
-    coupled: wp.array(dtype=wp.int32),
-    overflow: wp.array(dtype=wp.int32),
-    reach: wp.array(dtype=wp.int32),
+    m: Skyline,
     least_reach: int,
-    first: wp.array2d(dtype=wp.int32),
-    last: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
     # Scratch: diagonals at first (rod, 4 node); a column of L D and of L (rod, STRIDE node).
     size: wp.array2d(dtype=wp.float64),
     product: wp.array2d(dtype=wp.float64),
@@ -325,22 +321,16 @@ def factorise(
     """L D L^T in place; what is above the pivots of diagonal blocks stays as it was. Of rods of
     which some column reaches `least_reach` rows down."""
     r, _lane = wp.tid()
-    if coupled[r] != 0 and overflow[r] == 0 and reach[r] >= least_reach:
-        factorise_rod(first, last, row, size, product, column, r, block, negative_pivots_out)
+    if is_solved(m, r) and m.reach[r] >= least_reach:
+        factorise_rod(m.first, m.last, m.row, size, product, column, r, block, negative_pivots_out)
 
 
 @wp.kernel
 def solve(
     # State in:
-    coupled: wp.array(dtype=wp.int32),
-    overflow: wp.array(dtype=wp.int32),
-    reach: wp.array(dtype=wp.int32),
+    m: Skyline,
     least_reach: int,
     free: wp.array2d(dtype=wp.int32),
-    order: wp.array2d(dtype=wp.int32),
-    first: wp.array2d(dtype=wp.int32),
-    last: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
     block: wp.array2d(dtype=wp.vec4d),
     # Scratch (rod, 4 node), in the new order:
     y: wp.array2d(dtype=wp.float64),
@@ -349,5 +339,5 @@ def solve(
 ):
     """`skyline.solve`, of the same rods."""
     r, _lane = wp.tid()
-    if coupled[r] != 0 and overflow[r] == 0 and reach[r] >= least_reach:
-        solve_rod(free, order, first, last, row, block, y, r, x)
+    if is_solved(m, r) and m.reach[r] >= least_reach:
+        solve_rod(free, m.order, m.first, m.last, m.row, block, y, r, x)

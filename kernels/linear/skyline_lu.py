@@ -11,6 +11,7 @@ from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ONE, ZERO
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.linear.coupling import free_of
+from wrod.kernels.linear.skyline_order import Skyline, is_solved
 
 wp.set_module_options({"enable_backward": False})
 
@@ -35,14 +36,9 @@ def make_filling(matrix: type, entry: wp.Function) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def fill(
         # State in:
-        coupled: wp.array(dtype=wp.int32),
-        overflow: wp.array(dtype=wp.int32),
+        skyline: Skyline,
         free: wp.array2d(dtype=wp.int32),
         m: matrix,
-        rank: wp.array2d(dtype=wp.int32),
-        order: wp.array2d(dtype=wp.int32),
-        first: wp.array2d(dtype=wp.int32),
-        row: wp.array2d(dtype=wp.int32),
         # Out:
         lower_out: wp.array2d(dtype=wp.mat44d),
         upper_out: wp.array2d(dtype=wp.mat44d),
@@ -50,12 +46,12 @@ def make_filling(matrix: type, entry: wp.Function) -> wp.Kernel:
         """Blocks of the rods themselves, those of what is not free as of the identity, and zero
         elsewhere. Launched over (rod, node)."""
         r, v = wp.tid()
-        if coupled[r] == 0 or overflow[r] != 0:
+        if not is_solved(skyline, r):
             return
-        p = rank[r, v]
-        at = row[r, p]
-        for b in range(first[r, p], p + 1):
-            u = order[r, b]
+        p = skyline.rank[r, v]
+        at = skyline.row[r, p]
+        for b in range(skyline.first[r, p], p + 1):
+            u = skyline.order[r, b]
             lower = wp.mat44d()
             upper = wp.mat44d()
             if wp.abs(u - v) <= 2:
@@ -89,27 +85,24 @@ def inverse_of(m: wp.mat44d) -> wp.mat44d:
 @wp.kernel
 def factorise(
     # State in:
-    coupled: wp.array(dtype=wp.int32),
-    overflow: wp.array(dtype=wp.int32),
-    first: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
+    skyline: Skyline,
     # State in and out:
     lower: wp.array2d(dtype=wp.mat44d),
     upper: wp.array2d(dtype=wp.mat44d),
 ):
     """L U in place, U with the diagonal's blocks."""
     r = wp.tid()
-    if coupled[r] == 0 or overflow[r] != 0:
+    if not is_solved(skyline, r):
         return
-    for p in range(first.shape[1]):
-        start = first[r, p]
-        at = row[r, p]
+    for p in range(skyline.first.shape[1]):
+        start = skyline.first[r, p]
+        at = skyline.row[r, p]
         diagonal = lower[r, at + p]
         for b in range(start, p):
-            there = row[r, b]
+            there = skyline.row[r, b]
             left = lower[r, at + b]
             above = upper[r, at + b]
-            for c in range(wp.max(start, first[r, b]), b):
+            for c in range(wp.max(start, skyline.first[r, b]), b):
                 left = left - lower[r, at + c] * upper[r, there + c]
                 above = above - lower[r, there + c] * upper[r, at + c]
             left = left * lower[r, there + b]
@@ -122,12 +115,8 @@ def factorise(
 @wp.kernel
 def solve(
     # State in:
-    coupled: wp.array(dtype=wp.int32),
-    overflow: wp.array(dtype=wp.int32),
+    skyline: Skyline,
     free: wp.array2d(dtype=wp.int32),
-    order: wp.array2d(dtype=wp.int32),
-    first: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
     lower: wp.array2d(dtype=wp.mat44d),
     upper: wp.array2d(dtype=wp.mat44d),
     # Scratch:
@@ -137,27 +126,27 @@ def solve(
 ):
     """Solve in place; what is not free comes out as zero. Launched over (rod, right-hand side)."""
     r, j = wp.tid()
-    if coupled[r] == 0 or overflow[r] != 0:
+    if not is_solved(skyline, r):
         return
-    n = first.shape[1]
+    n = skyline.first.shape[1]
     for p in range(n):
-        v = order[r, p]
+        v = skyline.order[r, p]
         value = wp.vec4d()
         for c in range(4):
             if 4 * v + c < x.shape[2]:
                 value[c] = x[r, j, 4 * v + c][0] * free_of(free, r, v, c)
-        at = row[r, p]
-        for b in range(first[r, p], p):
+        at = skyline.row[r, p]
+        for b in range(skyline.first[r, p], p):
             value = value - lower[r, at + b] * y[r, j, b]
         y[r, j, p] = value
     for back in range(n):
         p = n - 1 - back
-        at = row[r, p]
+        at = skyline.row[r, p]
         value = lower[r, at + p] * y[r, j, p]
         y[r, j, p] = value
-        for b in range(first[r, p], p):
+        for b in range(skyline.first[r, p], p):
             y[r, j, b] = y[r, j, b] - upper[r, at + b] * value
-        v = order[r, p]
+        v = skyline.order[r, p]
         for c in range(4):
             if 4 * v + c < x.shape[2]:
                 x[r, j, 4 * v + c] = ALONE(value[c])

@@ -17,6 +17,37 @@ from wrod.kernels.lanes import (
 
 wp.set_module_options({"enable_backward": False})
 
+
+@wp.struct
+class Skyline:
+    """Rods that are solved with their contacts, and where the blocks of their matrices are.
+
+    Attributes:
+        coupled, overflow: (rod,) whether contacts couple a rod's nodes, and whether its blocks are
+            more than there is room for.
+        reach: (rod,) no column reaches farther below its diagonal.
+        rank, order: (rod, node) place of each node, and the node at each place.
+        first, last: (rod, node) column at which a row begins; last row that reaches a column, or
+            one before it.
+        row: (rod, node) where the blocks of a row are: that of column b at `row + b`.
+    """
+
+    coupled: wp.array(dtype=wp.int32)
+    overflow: wp.array(dtype=wp.int32)
+    reach: wp.array(dtype=wp.int32)
+    rank: wp.array2d(dtype=wp.int32)
+    order: wp.array2d(dtype=wp.int32)
+    first: wp.array2d(dtype=wp.int32)
+    last: wp.array2d(dtype=wp.int32)
+    row: wp.array2d(dtype=wp.int32)
+
+
+@wp.func
+def is_solved(m: Skyline, r: int) -> bool:
+    """Whether a rod is solved with its contacts."""
+    return m.coupled[r] != 0 and m.overflow[r] == 0
+
+
 # Distances lie close at hand on a GPU for rods of so many nodes.
 _NODES = 1024
 
@@ -132,65 +163,61 @@ def arrange(
     touching: wp.array2d(dtype=wp.vec3i),
     distance: wp.array2d(dtype=wp.int32),
     tally: wp.array2d(dtype=wp.int32),
-    rank_out: wp.array2d(dtype=wp.int32),
-    order_out: wp.array2d(dtype=wp.int32),
-    first_out: wp.array2d(dtype=wp.int32),
-    last_out: wp.array2d(dtype=wp.int32),
-    row_out: wp.array2d(dtype=wp.int32),
+    m: Skyline,
 ) -> wp.vec2i:
     """Order a rod's nodes by their distance from its first or last; how far columns reach then, and
     how many blocks there are."""
-    n = rank_out.shape[1]
-    number_nodes(from_last, piece, r, count, touching, distance, tally, rank_out, order_out)
+    n = m.rank.shape[1]
+    number_nodes(from_last, piece, r, count, touching, distance, tally, m.rank, m.order)
     for v in range(lane, n, wp.block_dim()):
-        p = rank_out[r, v]
+        p = m.rank[r, v]
         lowest = int(p)
         for u in range(wp.max(v - 2, 0), wp.min(v + 3, n)):
-            lowest = wp.min(lowest, rank_out[r, u])
-        first_out[r, p] = lowest
-        last_out[r, p] = p
+            lowest = wp.min(lowest, m.rank[r, u])
+        m.first[r, p] = lowest
+        m.last[r, p] = p
     wait_for_lanes()
     for c in range(lane, count[r], wp.block_dim()):
         i = touching[r, c][0]
         j = touching[r, c][1]
         size = piece_size(piece[r, i])
         all = size + piece_size(piece[r, j])
-        lowest = wp.min(rank_out[r, i], rank_out[r, j])
+        lowest = wp.min(m.rank[r, i], m.rank[r, j])
         for corner in range(all):
-            lowest = wp.min(lowest, rank_out[r, wp.where(corner < size, i, j - size) + corner])
+            lowest = wp.min(lowest, m.rank[r, wp.where(corner < size, i, j - size) + corner])
         for corner in range(all):
             v = wp.where(corner < size, i, j - size) + corner
-            wp.atomic_min(first_out, r, rank_out[r, v], lowest)
+            wp.atomic_min(m.first, r, m.rank[r, v], lowest)
     wait_for_lanes()
     for p in range(lane, n, wp.block_dim()):
-        wp.atomic_max(last_out, r, first_out[r, p], p)
+        wp.atomic_max(m.last, r, m.first[r, p], p)
     wait_for_lanes()
     size = int(0)
     for start in range(0, n, wp.block_dim()):
         p = start + lane
         mine = int(0)
         if p < n:
-            mine = p - first_out[r, p] + 1
+            mine = p - m.first[r, p] + 1
         before = size + count_of_lanes_before(mine)
         size += count_of_lanes(mine)
         if p < n:
-            row_out[r, p] = before - first_out[r, p]
+            m.row[r, p] = before - m.first[r, p]
     # Running maxima; many lanes look twice as far back every turn.
     jump = int(1)
     while jump < n and wp.block_dim() > 1:
         for p in range(lane, n, wp.block_dim()):
-            tally[r, p] = wp.max(last_out[r, p], last_out[r, wp.max(p - jump, 0)])
+            tally[r, p] = wp.max(m.last[r, p], m.last[r, wp.max(p - jump, 0)])
         wait_for_lanes()
         for p in range(lane, n, wp.block_dim()):
-            last_out[r, p] = tally[r, p]
+            m.last[r, p] = tally[r, p]
         wait_for_lanes()
         jump *= 2
     reach = int(0)
     for p in range(lane, n, wp.block_dim()):
-        last = int(last_out[r, p])
+        last = int(m.last[r, p])
         if wp.block_dim() == 1:
-            last = wp.max(last, last_out[r, wp.max(p - 1, 0)])
-            last_out[r, p] = last
+            last = wp.max(last, m.last[r, wp.max(p - 1, 0)])
+            m.last[r, p] = last
         reach = wp.max(reach, last - p)
     return wp.vec2i(int(largest_of_lanes(wp.float64(reach))), size)
 
@@ -198,7 +225,6 @@ def arrange(
 @wp.kernel
 def renumber(
     # State in:
-    coupled: wp.array(dtype=wp.int32),
     changed: wp.array(dtype=wp.int32),
     piece: wp.array2d(dtype=wp.int32),
     count: wp.array(dtype=wp.int32),
@@ -208,33 +234,20 @@ def renumber(
     # Scratch:
     distance: wp.array2d(dtype=wp.int32),
     tally: wp.array2d(dtype=wp.int32),
-    # State out:
-    rank_out: wp.array2d(dtype=wp.int32),
-    order_out: wp.array2d(dtype=wp.int32),
-    first_out: wp.array2d(dtype=wp.int32),
-    last_out: wp.array2d(dtype=wp.int32),
-    row_out: wp.array2d(dtype=wp.int32),
-    reach_out: wp.array(dtype=wp.int32),
-    overflow_out: wp.array(dtype=wp.int32),
+    # State in and out:
+    m: Skyline,
 ):
     """Order the nodes of rods whose contacts have changed: from the first node, or from the last
-    where only then no column reaches farther than `most_reach`.
-
-    Row p starts at column `first`; the last row that reaches column p, or one before it, is `last`,
-    no column farther than `reach` below its diagonal.
-    """
+    where only then no column reaches farther than `most_reach`."""
     r, lane = wp.tid()
-    if coupled[r] == 0 or changed[r] == 0:
+    if m.coupled[r] == 0 or changed[r] == 0:
         return
     attempt = int(0)
     found = wp.vec2i(most_reach + 1, 0)
     while attempt < 3 and found[0] > most_reach:
-        found = arrange(
-            attempt % 2, piece, r, lane, count, touching, distance, tally,
-            rank_out, order_out, first_out, last_out, row_out,
-        )  # fmt: skip
+        found = arrange(attempt % 2, piece, r, lane, count, touching, distance, tally, m)
         attempt += 1
     if lane == 0:
-        reach_out[r] = found[0]
+        m.reach[r] = found[0]
         if found[1] > capacity:
-            overflow_out[r] = 1
+            m.overflow[r] = 1

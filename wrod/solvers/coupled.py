@@ -15,6 +15,16 @@ _DENSE_NODES, _BLOCKS_PER_ROW, _BLOCKS_ON_CPU = 200, 100, 400
 _TEAMS = 6
 
 
+def skyline_of(coupled: wp.array, overflow: wp.array, nodes: int) -> skyline_order.Skyline:
+    """Where the blocks of rods (rod,) of so many nodes are, still to be found out."""
+    out = skyline_order.Skyline()
+    out.coupled, out.overflow, out.reach = coupled, overflow, wp.zeros_like(coupled)
+    for name in ("rank", "order", "first", "last", "row"):
+        shape = (len(coupled), nodes)
+        setattr(out, name, wp.zeros(shape, dtype=wp.int32, device=coupled.device))
+    return out
+
+
 class PairedSystem(BandedSystem):
     """What systems with the stiffness of a `RodContact` have in common: the pairs that touch.
 
@@ -102,10 +112,10 @@ class CoupledSystem(PairedSystem):
         else:
             blocks = _BLOCKS_ON_CPU if lanes(device) == 1 else _BLOCKS_PER_ROW
             self._capacity = min(nodes * blocks, nodes * (nodes + 1) // 2)
-        self._distance, self._tally, self._rank, self._order, self._first, self._last, self._row = (
-            wp.zeros((rods, nodes), dtype=wp.int32, device=device) for _ in range(7)
+        self._skyline = skyline_of(self.coupled, contact.overflow, nodes)
+        self._distance, self._tally = (
+            wp.zeros((rods, nodes), dtype=wp.int32, device=device) for _ in range(2)
         )
-        self._reach = wp.zeros(rods, dtype=wp.int32, device=device)
         self._block = wp.zeros((rods, self._capacity), dtype=wp.mat44d, device=device)
         if lanes(device) == 1:
             self._y = wp.zeros((rods, nodes), dtype=wp.vec4d, device=device)
@@ -135,13 +145,12 @@ class CoupledSystem(PairedSystem):
 
     def _eliminate_near(self, reach: int, gradient: wp.array) -> None:
         """Solve rods none of whose columns reaches farther, on a GPU."""
-        chosen, ends = [*self._chosen, self._reach, reach], 2
-        blocks = [self.batch.free, *self._profile, gradient, self._lines]
+        chosen, ends = [self._skyline, reach], 2
+        inputs = [*chosen, self.batch.free, gradient, self._lines]
         outputs = [self._tally, self._y, self._factor, self._negative]
-        self._together(skyline_ends.eliminate, [*chosen, *blocks], outputs, ends)
-        order = [self._order, self._last, gradient, self._negative, self._factor]
-        outputs = [self.x, self.negative_pivots]
-        self._together(skyline_ends.go_back, [*chosen, *order], outputs, ends)
+        self._together(skyline_ends.eliminate, inputs, outputs, ends)
+        inputs = [*chosen, gradient, self._negative, self._factor]
+        self._together(skyline_ends.go_back, inputs, [self.x, self.negative_pivots], ends)
 
     def factorise(self, hessian: wp.array, active: wp.array) -> None:
         self._collect(active)
@@ -149,58 +158,36 @@ class CoupledSystem(PairedSystem):
         self._assemble(hessian)
         self._factorise_coupled()
 
-    @property
-    def _chosen(self) -> list:
-        return [self.coupled, self.contact.overflow]
-
-    @property
-    def _profile(self) -> list:
-        """Where the blocks of rods are, in which order."""
-        return [self._order, self._first, self._last, self._row]
-
     def _assemble(self, hessian: wp.array) -> None:
         """Order the nodes, and fill the blocks of rods in contact."""
         batch, contact = self.batch, self.contact
         near = skyline_ends.reach_of(batch.node_count) if self._on_gpu else -1
         self._together(
             skyline_order.renumber,
-            [
-                self.coupled,
-                self._changed,
-                contact.pieces.kind,
-                self.pair_count,
-                self.touching,
-                self._capacity,
-                near if near > 0 else batch.node_count,
-                self._distance,
-                self._tally,
-            ],
-            [self._rank, self._order, self._first, self._last, self._row]
-            + [self._reach, contact.overflow],
+            [self._changed, contact.pieces.kind, self.pair_count, self.touching, self._capacity]
+            + [near if near > 0 else batch.node_count, self._distance, self._tally],
+            [self._skyline],
         )
-        profile = [self._rank, self._order, self._first, self._row]
         sharing = 5 if self._on_gpu else 1
         wp.launch(
             coupling.fill_band,
             dim=(batch.rod_count, batch.node_count, sharing),
-            inputs=[*self._chosen, batch.free, hessian, self.shift, *profile, sharing],
+            inputs=[self._skyline, batch.free, hessian, self.shift, sharing],
             outputs=[self._block],
             device=batch.device,
             block_dim=lanes(batch.device, TEAM),
         )
         teams = _TEAMS if self._on_gpu else 1
-        pairs = [*self._pairs, self._rank, self._row, teams]
-        inputs = [contact.pieces, *self._chosen, batch.free, *pairs]
+        inputs = [contact.pieces, self._skyline, batch.free, *self._pairs, teams]
         self._together(coupling.add_pairs, inputs, [self._block], teams)
 
     def _factorise_coupled(self, least_reach: int = 0) -> None:
         """On a GPU only of rods of which some column reaches so far."""
         if not self._on_gpu:
-            inputs = [*self._chosen, self._first, self._row]
-            self._together(skyline.factorise, inputs, [self._block, self.negative_pivots])
+            outputs = [self._block, self.negative_pivots]
+            self._together(skyline.factorise, [self._skyline], outputs)
             return
-        inputs = [*self._chosen, self._reach, least_reach, *self._profile[1:]]
-        inputs += [self._size, self._product, self._column]
+        inputs = [self._skyline, least_reach, self._size, self._product, self._column]
         self._together(skyline_lanes.factorise, inputs, [self._lines, self.negative_pivots])
 
     def solve(self, active: wp.array, columns: int | None = None) -> None:
@@ -212,10 +199,8 @@ class CoupledSystem(PairedSystem):
         free, kernel = self.batch.free, skyline.solve
         if self._on_gpu:
             kernel = skyline_lanes.solve
-            inputs = [*self._chosen, self._reach, least_reach, free, *self._profile]
-            inputs += [self._lines, self._y]
+            inputs = [self._skyline, least_reach, free, self._lines, self._y]
         else:
-            inputs = [*self._chosen, free, self._order, self._first, self._row]
-            inputs += [self._block, self._y]
+            inputs = [self._skyline, free, self._block, self._y]
         for j in range(columns):
             self._together(kernel, inputs, [self.x[:, j : j + 1]])

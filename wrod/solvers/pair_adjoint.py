@@ -14,6 +14,7 @@ from wrod.kernels.contact.pair_contact import Rubbing
 from wrod.kernels.lanes import TEAM, lanes
 from wrod.kernels.linear import skyline_lu, skyline_order
 from wrod.kernels.stepping.adjoint import fill_coupled
+from wrod.solvers.coupled import skyline_of
 from wrod.solvers.kept_pairs import SLOTS, KeptPairs
 
 if TYPE_CHECKING:
@@ -72,13 +73,12 @@ class PairAdjoint:
 
         self._touching = numbers(wp.float64, *self._shape[1:])
         self._slots = wp.full((rods, nodes - 1), SLOTS, dtype=wp.int32, device=device)
-        self.banded, self._coupled, self._count, self._changed, self._overflow, self._reach = (
-            numbers(wp.int32) for _ in range(6)
+        self.banded, self._count, self._changed, coupled, overflow = (
+            numbers(wp.int32) for _ in range(5)
         )
+        self._skyline = skyline_of(coupled, overflow, nodes)
         self._pair = numbers(wp.vec3i, 6 * nodes)
-        self._rank, self._order, self._first, self._last, self._row, *self._scratch = (
-            numbers(wp.int32, nodes) for _ in range(7)
-        )
+        self._scratch = [numbers(wp.int32, nodes) for _ in range(2)]
         self._capacity = min(nodes * _BLOCKS, nodes * (nodes + 1) // 2)
         self._lower, self._upper = (numbers(wp.mat44d, self._capacity) for _ in range(2))
         self._law = kernels.WantedLaw()
@@ -124,11 +124,13 @@ class PairAdjoint:
         """Add to the residual and to moments about edges, let what is wanted of bristles at the
         step's end be wanted of the rods there, and find out which rows touch."""
         self._launch(kernels.want_pairs, [], [now, gradient, moment, self._touching])
-        self._overflow.zero_()
+        skyline = self._skyline
+        skyline.overflow.zero_()
         self._batch.launch_lanes(
             touching.collect,
             [self._step.active, self._slots, self._step.pair_partner, self._touching],
-            [self._count, self._pair, self._overflow, self.banded, self._coupled, self._changed],
+            [self._count, self._pair, skyline.overflow, self.banded, skyline.coupled]
+            + [self._changed],
         )
 
     def factorise(self, matrix: Any) -> None:
@@ -137,23 +139,18 @@ class PairAdjoint:
         wp.launch(
             skyline_order.renumber,
             (batch.rod_count, team),
-            [self._coupled, self._changed, self._pieces.kind, self._count, self._pair]
+            [self._changed, self._pieces.kind, self._count, self._pair]
             + [self._capacity, batch.node_count, *self._scratch],
-            [self._rank, *self._profile, self._reach, self._overflow],
+            [self._skyline],
             device=batch.device,
             block_dim=team,
         )
-        chosen, blocks = [self._coupled, self._overflow], [self._lower, self._upper]
-        order, first, _, row = self._profile
-        profile = [self._rank, order, first, row]
-        inputs = [*chosen, batch.free, matrix, *profile]
-        batch.launch(fill_coupled, (batch.rod_count, batch.node_count), inputs, blocks)
-        self._launch(kernels.add_pairs, [self._overflow, self._rank, row], blocks)
-        batch.launch(skyline_lu.factorise, batch.rod_count, [*chosen, first, row], blocks)
-
-    @property
-    def _profile(self) -> list[wp.array]:
-        return [self._order, self._first, self._last, self._row]
+        skyline, blocks = self._skyline, [self._lower, self._upper]
+        shape, inputs = (batch.rod_count, batch.node_count), [skyline, batch.free, matrix]
+        batch.launch(fill_coupled, shape, inputs, blocks)
+        inputs = [skyline.overflow, skyline.rank, skyline.row]
+        self._launch(kernels.add_pairs, inputs, blocks)
+        batch.launch(skyline_lu.factorise, batch.rod_count, [skyline], blocks)
 
     def solve(self, x: wp.array) -> None:
         """Of the rows that touch, all right-hand sides (rod, p, dof) in place; the first is what
@@ -162,9 +159,7 @@ class PairAdjoint:
             device, shape = self._batch.device, (*x.shape[:2], self._batch.node_count)
             self._x, self._y = x, wp.zeros(shape, dtype=wp.vec4d, device=device)
             self._solution = wp.array(ptr=x.ptr, dtype=wp.float64, shape=x.shape, device=device)
-        order, first, _, row = self._profile
-        chosen = [self._coupled, self._overflow, self._batch.free]
-        inputs = [*chosen, order, first, row, self._lower, self._upper, self._y]
+        inputs = [self._skyline, self._batch.free, self._lower, self._upper, self._y]
         self._batch.launch(skyline_lu.solve, x.shape[:2], inputs, [x])
 
     def want_held(self, held: wp.array) -> None:
