@@ -11,7 +11,7 @@ import wrod
 from wrod.bench.newton_laid import (
     BAR,
     CABLE,
-    Scene,
+    Simulation,
     along,
     borne,
     collision,
@@ -54,7 +54,7 @@ def test_friction_on_bars_holds_and_lets_go():
 def test_friction_stays_in_its_cone():
     """A ball that slides along a bar: the tangential part of the force is mu times the normal one,
     which points to its centre."""
-    scene = Scene(mu=0.3)
+    scene = Simulation(mu=0.3)
     scene.rod(along(0, 0.6, 6), BAR, start="clamped", end="clamped")
     ball = scene.ball((0.047, 0.0, 0.0239))
     scene.begin(DEVICE)
@@ -84,7 +84,7 @@ def test_a_block_bears_the_cable_that_it_holds():
 def test_what_is_held_inside_is_not_thrown_out():
     """A cable that a ball holds at its centre, and one at its surface: afloat and straight they
     stay, and no edge is pressed."""
-    scene = Scene((0.0, 0.0, 0.0))
+    scene = Simulation((0.0, 0.0, 0.0))
     ball = scene.ball((0.0, 0.0, 0.0))
     for first in (0.0, 0.021):
         points = along(0, 0.2, 40, (0.1 + first, first, 0.0))
@@ -98,7 +98,7 @@ def test_what_is_held_inside_is_not_thrown_out():
 def test_a_fast_ball_does_not_pass_through():
     """At 4 m/s a ball goes 66 mm a step, over a cable of 6 mm; a cable that is held at both ends
     stops it, in shorter steps."""
-    scene = Scene((0.0, 0.0, 0.0))
+    scene = Simulation((0.0, 0.0, 0.0))
     scene.rod(along(1, 0.6, 30), start="clamped", end="clamped")
     ball = scene.ball((-0.1, 0.0, 0.0))
     scene.begin(DEVICE)
@@ -113,7 +113,7 @@ def test_a_fast_ball_does_not_pass_through():
 def test_a_loose_body_is_moved_if_asked():
     """A ball that holds nothing is left to others, unless it is named: one that touches rods, of
     their world."""
-    scene = Scene()
+    scene = Simulation()
     scene.rod(along(0, 0.6, 30), start="clamped", end="clamped")
     ball = scene.ball((0.0, 0.0, 0.05))
     bare = scene.builder.add_body(mass=0.1, inertia=wp.mat33(*np.diag([1e-4] * 3).ravel()))
@@ -133,7 +133,7 @@ def test_worlds_of_laid_boxes():
     """Two worlds of a box on a cable do what one does alone."""
     places = []
     for worlds in (1, 2):
-        scene = Scene()
+        scene = Simulation()
         scene.rod(along(0, 0.6, 30, (0.0, 0.03, 0.0)), start="clamped", end="clamped")
         scene.rod(along(0, 0.6, 30, (0.0, -0.03, 0.0)), start="clamped", end="clamped")
         scene.box((0.0, 0.0, 0.03))
@@ -159,7 +159,7 @@ class Derivative:
     """
 
     def __init__(self, box: bool):
-        scene = Scene((0.0, 0.0, 0.0), mu=0.0)
+        scene = Simulation((0.0, 0.0, 0.0), mu=0.0)
         turn = wp.quat_rpy(0.03, 0.02, 0.3)
         half = (0.02, 0.02, 0.02)
         for at in ((0.0, 0.0, 0.0), (0.055, 0.0, 0.0)):
@@ -241,7 +241,7 @@ def test_newton_steps_are_those_of_differences(box):
 def test_forces_and_moments_are_equal_and_opposite():
     """Of curved rods whose roll a ball holds by friction, in the middle of a Newton step: forces on
     nodes, their moments and torques about edges, and the ball's wrench add up to nothing."""
-    scene = Scene((0.0, 0.0, 0.0))
+    scene = Simulation((0.0, 0.0, 0.0))
     for y, z in ((-0.005, 0.023), (0.005, -0.023)):
         scene.rod(along(0, 0.2, 6, (0.0, y, z)), natural_curvature=np.array([0.5, 0.0]))
     ball = scene.ball((0.0, 0.0, 0.0), 0.021)

@@ -22,12 +22,12 @@ with needed_extras():
     import torch
 
 # Of `RodBatch.elastic_model`: what is scaled for stretching, bending and twisting.
-_STRETCHING, _BENDING, _TWISTING = 1, 2, 6
+_SCALED = ("stretching", "bending", "twisting")
 # Of the steps: what is left unbalanced is missing from the gradients.
 _TOLERANCE = 1e-11
 
 
-class Scene(NamedTuple):
+class Setting(NamedTuple):
     """What tensors do not say of a motion; see `move_differentiable`."""
 
     batch: RodBatch
@@ -40,24 +40,25 @@ class Scene(NamedTuple):
 class _Path:
     """Puts held nodes where they are at the end of a step: a `wrod.solvers.steps.Motion`."""
 
-    def __init__(self, scene: Scene, path: torch.Tensor):
-        self.scene, self.path, self.now = scene, path, 0
+    def __init__(self, setting: Setting, path: torch.Tensor):
+        self.setting, self.path, self.now = setting, path, 0
 
     def prescribe(self, running, time, step, start) -> None:
-        dof = wp.to_torch(self.scene.batch.state.dof)
-        dof[:, self.scene.columns] = self.path[:, self.now].reshape(len(dof), -1)
+        dof = wp.to_torch(self.setting.batch.state.dof)
+        dof[:, self.setting.columns] = self.path[:, self.now].reshape(len(dof), -1)
 
 
 @contextmanager
 def _changed(batch: RodBatch, stiffness: torch.Tensor, gravity: torch.Tensor) -> Iterator[None]:
     """The rods with their stiffnesses scaled, under that gravity; then as they were."""
-    now = [*batch.elastic_model, batch.gravity]
+    scaled = [getattr(batch.elastic_model, name) for name in _SCALED]
+    now = [*scaled, batch.gravity]
     before = [wp.clone(a) for a in now]
     state = RodState.zeros(batch.rod_count, batch.node_count, batch.device)
     state.assign(batch.state)
     wp.to_torch(batch.gravity)[:] = gravity
-    for part, place in enumerate((_STRETCHING, _BENDING, _TWISTING)):
-        values = wp.to_torch(batch.elastic_model[place])
+    for part, array in enumerate(scaled):
+        values = wp.to_torch(array)
         values *= stiffness[:, part].reshape(-1, *(1,) * (values.ndim - 1))
     try:
         yield
@@ -69,36 +70,36 @@ def _changed(batch: RodBatch, stiffness: torch.Tensor, gravity: torch.Tensor) ->
 
 class _Move(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, position, velocity, stiffness, gravity, path, scene):
-        ctx.scene = scene
+    def forward(ctx, position, velocity, stiffness, gravity, path, setting):
+        ctx.setting = setting
         ctx.save_for_backward(position, stiffness, gravity)
-        with _changed(scene.batch, stiffness, gravity):
-            return _forward(ctx, position, velocity, path, scene)
+        with _changed(setting.batch, stiffness, gravity):
+            return _forward(ctx, position, velocity, path, setting)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, gradient):
         _, stiffness, gravity = ctx.saved_tensors
-        with _changed(ctx.scene.batch, stiffness, gravity):
+        with _changed(ctx.setting.batch, stiffness, gravity):
             return *_backward(ctx, gradient), None
 
 
-def _forward(ctx, position, velocity, path, scene: Scene) -> torch.Tensor:
-    batch = scene.batch
+def _forward(ctx, position, velocity, path, setting: Setting) -> torch.Tensor:
+    batch = setting.batch
     ctx.frames = wp.to_torch(batch.state.tangent).clone()
     _positions(wp.to_torch(batch.state.dof))[:] = position
     batch.transport_frames(batch.state, batch.state, batch.every_rod)
-    motion = _Path(scene, path) if len(scene.columns) else None
-    dynamics = ctx.dynamics = Dynamics(batch, motion=motion, **scene.options)
+    motion = _Path(setting, path) if len(setting.columns) else None
+    dynamics = ctx.dynamics = Dynamics(batch, motion=motion, **setting.options)
     require_differentiable(dynamics)
     dynamics.refuses_saddles = False
     dynamics.follower = trace = Trace(dynamics, room=1)
     _positions(wp.to_torch(dynamics.velocity))[:] = velocity
     places, ctx.records = [position.clone()], []
-    for n in range(scene.steps):
+    for n in range(setting.steps):
         if motion is not None:
             motion.now = n
-        done = dynamics.advance((n + 1) * scene.step, scene.step)
+        done = dynamics.advance((n + 1) * setting.step, setting.step)
         if done.diverged.any() or (done.steps != n + 1).any():
             raise RodError(
                 f"step {n} of rod {int(done.steps.argmin())} had to be cut; take shorter"
@@ -115,16 +116,16 @@ def _positions(dof: torch.Tensor) -> torch.Tensor:
 
 
 def _backward(ctx, gradient: torch.Tensor) -> tuple:
-    scene: Scene = ctx.scene
-    batch, columns = scene.batch, scene.columns
+    setting: Setting = ctx.setting
+    batch, columns = setting.batch, setting.columns
     position, stiffness, _ = ctx.saved_tensors
     moved = torch.zeros((batch.rod_count, batch.dof_count), dtype=torch.int32)
     moved[:, columns] = 1
     adjoint = StepAdjoint(ctx.dynamics, moved.numpy())
     wanted = wp.to_torch(adjoint.now.dof)
     held = wp.to_torch(adjoint.held)
-    by_path = gradient.new_zeros((batch.rod_count, scene.steps, len(columns)))
-    for n in reversed(range(scene.steps)):
+    by_path = gradient.new_zeros((batch.rod_count, setting.steps, len(columns)))
+    for n in reversed(range(setting.steps)):
         _positions(wanted)[:] += gradient[:, n + 1]
         adjoint.go_back(ctx.records[n])
         by_path[:, n] = held[:, columns]
@@ -138,11 +139,9 @@ def _backward(ctx, gradient: torch.Tensor) -> tuple:
     by_velocity = _positions(wp.to_torch(adjoint.now.velocity)).clone()
     model = adjoint.model
     parts = []
-    for wants, place in (
-        (model.stretching, _STRETCHING), (model.bending, _BENDING), (model.twisting, _TWISTING),
-    ):  # fmt: skip
-        scaled = wp.to_torch(batch.elastic_model[place])
-        parts.append((wp.to_torch(wants) * scaled).flatten(1).sum(dim=1))
+    for name in _SCALED:
+        wants, scaled = (wp.to_torch(getattr(m, name)) for m in (model, batch.elastic_model))
+        parts.append((wants * scaled).flatten(1).sum(dim=1))
     by_stiffness = torch.stack(parts, dim=1) / stiffness
     by_gravity = wp.to_torch(model.gravity).clone()
     return by_position, by_velocity, by_stiffness, by_gravity, by_path
@@ -229,5 +228,5 @@ def move_differentiable(
     if scheme == "midpoint":  # which wants the path in the middle of each step, too
         raise RodError("gradients of motion along a path know no scheme 'midpoint'; use bdf2")
     options = dict(scheme=scheme, radius=radius, air_damping=air_damping, tolerance=_TOLERANCE)
-    scene = Scene(batch, columns, step, steps, options)
-    return _Move.apply(position, velocity, stiffness, gravity, path.flatten(2), scene)
+    setting = Setting(batch, columns, step, steps, options)
+    return _Move.apply(position, velocity, stiffness, gravity, path.flatten(2), setting)

@@ -16,7 +16,7 @@ _G = 9.81
 _STEP = 1.0 / 240.0
 
 
-class Scene:
+class Simulation:
     """Rods and bodies in one world; bodies that hold none are moved by the solver too.
 
     Attributes:
@@ -100,73 +100,75 @@ def along(axis: int, length: float, edges: int, at=(0.0, 0.0, 0.0)) -> np.ndarra
     return points
 
 
-def borne(density: float, device: str = "cpu") -> tuple[float, float, Scene]:
+def borne(density: float, device: str = "cpu") -> tuple[float, float, Simulation]:
     """A box lies down on two cables that are clamped at both ends: force on the cables at rest, and
     the box's weight [N].
 
     One of 14 kg would tip over: over its height its weight turns it more than the cables, eight
     centimetres apart, turn it back.
     """
-    scene = Scene(density=density)
+    simulation = Simulation(density=density)
     for y in (-0.04, 0.04):
-        scene.rod(along(0, 0.6, 30, (0.0, y, 0.0)), start="clamped", end="clamped", air_damping=5)
-    box = scene.box((0.0, 0.0, 0.0231))
-    scene.begin(device, scheme="euler", tolerance=1e-9)
-    scene.run(150, 0.05)
-    return -float(scene.pressed()[2]), scene.weight(box), scene
+        simulation.rod(
+            along(0, 0.6, 30, (0.0, y, 0.0)), start="clamped", end="clamped", air_damping=5
+        )
+    box = simulation.box((0.0, 0.0, 0.0231))
+    simulation.begin(device, scheme="euler", tolerance=1e-9)
+    simulation.run(150, 0.05)
+    return -float(simulation.pressed()[2]), simulation.weight(box), simulation
 
 
 def slide(angle: float, mu: float = 0.5, device: str = "cpu") -> float:
     """Acceleration of a box on two stiff bars down a slope [m/s^2]."""
-    scene = Scene((_G * np.sin(angle), 0.0, -_G * np.cos(angle)), mu)
+    simulation = Simulation((_G * np.sin(angle), 0.0, -_G * np.cos(angle)), mu)
     for y in (-0.04, 0.04):
-        scene.rod(along(0, 0.6, 30, (0.0, y, 0.0)), BAR, start="clamped", end="clamped")
-    box = scene.box((-0.1, 0.0, 0.024))
-    scene.begin(device)
+        simulation.rod(along(0, 0.6, 30, (0.0, y, 0.0)), BAR, start="clamped", end="clamped")
+    box = simulation.box((-0.1, 0.0, 0.024))
+    simulation.begin(device)
     steps = 96
-    x, t = scene.run(steps, body=box)[:, 0], _STEP * np.arange(1, steps + 1)
+    x, t = simulation.run(steps, body=box)[:, 0], _STEP * np.arange(1, steps + 1)
     return 2.0 * float(np.polyfit(t[steps // 2 :], x[steps // 2 :], 2)[0])
 
 
 def collision(scheme: str, device: str = "cpu") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Momentum (6,) of all before and after a ball has hit a cable afloat, beside its middle, and
     the ball's velocity and spin (6,) then."""
-    scene = Scene((0.0, 0.0, 0.0), mu=0.3)
-    scene.rod(along(1, 0.6, 30), air_damping=0.0)
-    ball = scene.ball((-0.03, 0.05, 0.002))
-    scene.begin(device, scheme=scheme, tolerance=1e-12)
-    scene.throw(ball, (1.0, 0.0, 0.0))
-    scene.run(1, body=ball)
-    before = scene.momentum()
-    scene.run(60, body=ball)
-    return before, scene.momentum(), scene.state.body_qd.numpy()[ball].copy()
+    simulation = Simulation((0.0, 0.0, 0.0), mu=0.3)
+    simulation.rod(along(1, 0.6, 30), air_damping=0.0)
+    ball = simulation.ball((-0.03, 0.05, 0.002))
+    simulation.begin(device, scheme=scheme, tolerance=1e-12)
+    simulation.throw(ball, (1.0, 0.0, 0.0))
+    simulation.run(1, body=ball)
+    before = simulation.momentum()
+    simulation.run(60, body=ball)
+    return before, simulation.momentum(), simulation.state.body_qd.numpy()[ball].copy()
 
 
 def over_its_block(device: str = "cpu") -> tuple[float, float, float]:
     """A block hangs on one cable and holds another, which hangs down over its edge: force at the
     top and the weight of all [N]; the force with which the block bears its own cable [N]."""
-    scene = Scene()
-    block = scene.box((0.0, 0.0, 0.0), (0.02, 0.02, 0.02))
-    scene.rod(along(2, 0.2, 10, (0.0, 0.0, 0.12)), start="pinned", start_body=block,
+    simulation = Simulation()
+    block = simulation.box((0.0, 0.0, 0.0), (0.02, 0.02, 0.02))
+    simulation.rod(along(2, 0.2, 10, (0.0, 0.0, 0.12)), start="pinned", start_body=block,
               end="clamped", air_damping=5.0)  # fmt: skip
     over = along(0, 0.3, 30, (0.15, 0.0, 0.0231))
-    held = scene.rod(over, start="clamped", start_body=block, air_damping=5.0)
-    scene.begin(device, scheme="euler", tolerance=1e-9)
-    scene.run(200, 0.05, block)
-    der = scene.model.der
-    reaction = scene.solver._groups[0].dynamics.reaction.numpy()[0]
+    held = simulation.rod(over, start="clamped", start_body=block, air_damping=5.0)
+    simulation.begin(device, scheme="euler", tolerance=1e-9)
+    simulation.run(200, 0.05, block)
+    der = simulation.model.der
+    reaction = simulation.solver._groups[0].dynamics.reaction.numpy()[0]
     top = float(reaction.reshape(-1)[: 4 * 12].reshape(-1, 4)[-2:, 2].sum())
-    whole = scene.weight(block) + _G * float(der.node_mass.numpy().sum())
+    whole = simulation.weight(block) + _G * float(der.node_mass.numpy().sum())
     first, count = der.rod_first_node.numpy()[held], der.rod_node_count.numpy()[held]
-    pressing = scene.state.der.node_contact_f.numpy()[first : first + count]
+    pressing = simulation.state.der.node_contact_f.numpy()[first : first + count]
     return top, whole, float(pressing[:, 2].sum())
 
 
 def measure() -> Iterator[tuple[str, str, str]]:
-    """(what, found, expected) of one scene after the other, as text."""
+    """(what, found, expected) of one simulation after the other, as text."""
     for density in (0.5, 500.0, 5000.0):
-        found, expected, scene = borne(density)
-        deep = float(scene.solver._groups[0].contact.penetration()[0]) / CABLE.radius
+        found, expected, simulation = borne(density)
+        deep = float(simulation.solver._groups[0].contact.penetration()[0]) / CABLE.radius
         what = f"force of a box of {expected / _G:.2g} kg on two cables [N]"
         yield what, f"{found:.7g}", f"{expected:.7g}"
         yield "the same: depth over the radius", f"{deep:.4f}", "0"

@@ -123,7 +123,7 @@ def _chains(edges: list[tuple[int, int]]) -> list[list[tuple[int, int, int]]]:
             at.setdefault(node, []).append(k)
     left, out = set(range(len(edges))), []
 
-    def walk(node: int, k: int) -> None:
+    def follow(node: int, k: int) -> None:
         chain = []
         while k in left:
             left.remove(k)
@@ -140,10 +140,10 @@ def _chains(edges: list[tuple[int, int]]) -> list[list[tuple[int, int, int]]]:
         if len(around) != 2:
             for k in around:
                 if k in left:
-                    walk(node, k)
+                    follow(node, k)
     for k in range(len(edges)):  # rings without a branch
         if k in left:
-            walk(edges[k][0], k)
+            follow(edges[k][0], k)
     return out
 
 

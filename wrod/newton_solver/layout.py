@@ -138,13 +138,13 @@ class Layout:
         half a turn of the tightest bend further."""
         rest, out = self.model.der.edge_rest_length.numpy(), []
         for way in (-1, 1):
-            edge, walked, left = node - (way < 0), 0.0, False
+            edge, length, left = node - (way < 0), 0.0, False
             while 0 <= edge < len(radius) and self.places["owns"][row, edge]:
                 left |= not inside[edge]
-                if walked > np.pi * radius[edge]:
+                if length > np.pi * radius[edge]:
                     break
                 out.append(edge)
-                walked += left * rest[self.places["edge"][row, edge]]
+                length += left * rest[self.places["edge"][row, edge]]
                 edge += way
         return out
 

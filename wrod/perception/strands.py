@@ -1,4 +1,4 @@
-"""From paired ports to ordered strands: walk, bridge gaps, find the true ends."""
+"""From paired ports to ordered strands: follow, bridge gaps, find the true ends."""
 
 from dataclasses import dataclass
 
@@ -90,7 +90,7 @@ def _routes(network, choices, chosen, gaps) -> list[tuple[list, bool]]:
         _connect(onward, gap, 0, 1)
     routes, seen = [], set()
 
-    def walk(chain, side):
+    def follow(chain, side):
         route = []
         while chain not in seen:
             seen.add(chain)
@@ -106,7 +106,7 @@ def _routes(network, choices, chosen, gaps) -> list[tuple[list, bool]]:
         for side in (0, 1):
             closed = network.skeleton.chains[number].closed
             if number not in seen and not closed and (number, side) not in onward:
-                routes.append(walk(number, side))
+                routes.append(follow(number, side))
     for number in network.arms:
         if number in seen:
             continue
@@ -114,7 +114,7 @@ def _routes(network, choices, chosen, gaps) -> list[tuple[list, bool]]:
             seen.add(number)
             routes.append(([(number, 0, None)], True))
         else:
-            routes.append(walk(number, 0))
+            routes.append(follow(number, 0))
     return routes
 
 
