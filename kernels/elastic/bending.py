@@ -30,6 +30,7 @@ from wrod.kernels.elastic.curvature import (
     symmetric,
 )
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
+from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.elastic.stretching import stretching
 from wrod.kernels.elastic.twisting import Twisting, twisting, twisting_hessian
 
@@ -281,15 +282,7 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
     # Of a module of its own: the laws are compiled side by side, and only those that are launched.
     @wp.kernel(module="unique", enable_backward=False)
     def elasticity(
-        # Model:
-        rest_length: wp.array2d(dtype=wp.float64),
-        stretching_stiffness: wp.array2d(dtype=wp.float64),
-        bending_stiffness: wp.array2d(dtype=wp.vec2d),
-        invariant_stiffness: wp.array2d(dtype=wp.vec2d),
-        natural_curvature: wp.array2d(dtype=wp.vec2d),
-        law_parameter: wp.array2d(dtype=wp.vec2d),
-        twisting_stiffness: wp.array2d(dtype=wp.float64),
-        natural_twist: wp.array2d(dtype=wp.float64),
+        model: ElasticModel,
         # State in:
         active: wp.array(dtype=wp.int32),
         dof_in: wp.array2d(dtype=wp.float64),
@@ -305,8 +298,7 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
     ):
         """Add energy and gradient, and the exact Hessian if `order` is 2.
 
-        The invariant K has the mean of `invariant_stiffness`: that of the material, while the other
-        may be one that stands for a viscous material in a step.
+        The invariant K has the mean of `model.invariant`.
 
         Every inner node adds the stretching of the edge before it, the last that after it as well.
         Launched over (rod, inner node) with 0 nodes `owned`; on a GPU over (rod, warp, lane), in
@@ -316,7 +308,7 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
         r, j = wp.tid()
         if active[r] == 0:
             return
-        last = stretching_stiffness.shape[1] - 1
+        last = model.stretching.shape[1] - 1
         at, owns = j + 1, True
         if owned > 0:
             lane = j % (owned + 2)
@@ -326,26 +318,28 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
         there = at == i
         s = stencil(dof_in, director_in, r, i)
         tau = dof_in[r, 4 * i + 3] - dof_in[r, 4 * i - 1] + reference_twist_in[r, i]
-        if bending_stiffness[r, i][0] == ZERO:
-            s = at_cut(s, stretching_stiffness[r, i - 1], stretching_stiffness[r, i])
+        if model.bending[r, i][0] == ZERO:
+            s = at_cut(s, model.stretching[r, i - 1], model.stretching[r, i])
             tau = ZERO
-        rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
+        rest_e = model.rest_length[r, i - 1]
+        rest_f = model.rest_length[r, i]
+        rest = HALF * (rest_e + rest_f)
         bend = bending(
             s,
             rest,
-            bending_stiffness[r, i],
-            natural_curvature[r, i],
-            law_parameter[r, i],
-            invariant_stiffness[r, i],
+            model.bending[r, i],
+            model.natural_curvature[r, i],
+            model.softening[r, i],
+            model.invariant[r, i],
             order,
         )
-        twist = twisting(twisting_stiffness[r, i], natural_twist[r, i], rest, s, tau)
-        before = stretching(stretching_stiffness[r, i - 1], rest_length[r, i - 1], s.length_e, s.t)
+        twist = twisting(model.twisting[r, i], model.natural_twist[r, i], rest, s, tau)
+        before = stretching(model.stretching[r, i - 1], rest_e, s.length_e, s.t)
         energy = before.energy
         g_f = wp.vec3d(ZERO, ZERO, ZERO)
         ff = wp.mat33d()
         if i == last:
-            after = stretching(stretching_stiffness[r, i], rest_length[r, i], s.length_f, s.u)
+            after = stretching(model.stretching[r, i], rest_f, s.length_f, s.u)
             energy += after.energy
             g_f += after.gradient
             ff += after.hessian

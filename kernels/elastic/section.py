@@ -12,6 +12,7 @@ from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_hessian, a
 from wrod.kernels.elastic.bending import BendingResponse, add_stencil, make_bending
 from wrod.kernels.elastic.curvature import component, excess_curvature, stencil, symmetric
 from wrod.kernels.elastic.frames import HALF, TWO, ZERO
+from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.elastic.twisting import twisting_moment
 
 wp.set_module_options({"enable_backward": False})
@@ -46,11 +47,7 @@ def make_section_energy(response: wp.Function, numbers: type) -> wp.Kernel:
     @wp.kernel
     def section_energy(
         # Model:
-        rest_length: wp.array2d(dtype=wp.float64),
-        bending_stiffness: wp.array2d(dtype=wp.vec2d),
-        natural_curvature: wp.array2d(dtype=wp.vec2d),
-        twisting_stiffness: wp.array2d(dtype=wp.float64),
-        natural_twist: wp.array2d(dtype=wp.float64),
+        model: ElasticModel,
         number: wp.array2d(dtype=numbers),
         # State in:
         active: wp.array(dtype=wp.int32),
@@ -68,16 +65,16 @@ def make_section_energy(response: wp.Function, numbers: type) -> wp.Kernel:
         if active[r] == 0:
             return
         i = j + 1
-        principal = bending_stiffness[r, i]
+        principal = model.bending[r, i]
         if principal[0] == ZERO:  # at a cut
             return
         s = stencil(dof_in, director_in, r, i)
-        rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
-        curved = excess_curvature(s, rest, natural_curvature[r, i])
+        rest = HALF * (model.rest_length[r, i - 1] + model.rest_length[r, i])
+        curved = excess_curvature(s, rest, model.natural_curvature[r, i])
         tau = dof_in[r, 4 * i + 3] - dof_in[r, 4 * i - 1] + reference_twist_in[r, i]
         here = response(
-            wp.vec3d(curved[0], curved[1], tau / rest - natural_twist[r, i]),
-            wp.vec3d(principal[0], principal[1], twisting_stiffness[r, i]),
+            wp.vec3d(curved[0], curved[1], tau / rest - model.natural_twist[r, i]),
+            wp.vec3d(principal[0], principal[1], model.twisting[r, i]),
             number[r, i],
         )
         tangent = here.tangent

@@ -6,6 +6,7 @@ from typing import Any
 import warp as wp
 from wrod.kernels.elastic.curvature import component, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
+from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})
@@ -55,13 +56,8 @@ class Strains:
 
 @wp.kernel
 def linearise_flow(
-    # Model, elastic:
-    rest_length: wp.array2d(dtype=wp.float64),
-    stretching: wp.array2d(dtype=wp.float64),
-    bending: wp.array2d(dtype=wp.vec2d),
-    natural_curvature: wp.array2d(dtype=wp.vec2d),
-    softening: wp.array2d(dtype=wp.vec2d),
-    twisting: wp.array2d(dtype=wp.float64),
+    # Model:
+    model: ElasticModel,
     viscous_time: wp.array2d(dtype=wp.vec4d),
     # State in:
     pace: Pace,
@@ -78,15 +74,15 @@ def linearise_flow(
         return
     out = Strains()
     eta = viscous_time[r, i]
-    h = rest_length[r, i]
+    h = model.rest_length[r, i]
     out.tangent = wp.normalize(edge(dof, r, i))
-    out.pull = eta[3] * stretching[r, i] / h
+    out.pull = eta[3] * model.stretching[r, i] / h
     if i > 0:
-        length = HALF * (rest_length[r, i - 1] + h)
+        length = HALF * (model.rest_length[r, i - 1] + h)
         # Of the grip's node a share of the cell is beyond the grip.
         share = ONE
-        if i == rest_length.shape[1] - 1:
-            share = HALF * rest_length[r, i - 1] / length
+        if i == model.rest_length.shape[1] - 1:
+            share = HALF * model.rest_length[r, i - 1] / length
         s = stencil(dof, director, r, i)
         first = component(s, 0)
         second = component(s, 1)
@@ -95,8 +91,8 @@ def linearise_flow(
         out.after = wp.matrix_from_rows(first.f, second.f, binormal) / s.length_f
         out.angle_before = wp.vec3d(first.te, second.te, -ONE)
         out.angle_after = wp.vec3d(first.tf, second.tf, ONE)
-        b = bending[r, i]
-        law = softening[r, i]
+        b = model.bending[r, i]
+        law = model.softening[r, i]
         moment = wp.diag(b)
         if law[0] != ZERO:
             # M = B e (r + (1 - r) / D), D = 1 + 2 c (B_1 e_1^2 + B_2 e_2^2) / (B_1 + B_2).
@@ -105,9 +101,10 @@ def linearise_flow(
             past = strain_older[r, i]
             flow_1 = c[0] * first.kappa + c[1] * was[0] + c[2] * past[0]
             flow_2 = c[0] * second.kappa + c[1] * was[1] + c[2] * past[1]
+            natural = model.natural_curvature[r, i]
             pulled = wp.vec2d(
-                b[0] * ((first.kappa + eta[0] * flow_1) / length - natural_curvature[r, i][0]),
-                b[1] * ((second.kappa + eta[1] * flow_2) / length - natural_curvature[r, i][1]),
+                b[0] * ((first.kappa + eta[0] * flow_1) / length - natural[0]),
+                b[1] * ((second.kappa + eta[1] * flow_2) / length - natural[1]),
             )
             by = TWO * law[0] / (b[0] + b[1])
             d = ONE + by * (pulled[0] * pulled[0] / b[0] + pulled[1] * pulled[1] / b[1])
@@ -116,7 +113,7 @@ def linearise_flow(
             moment = secant * moment + fall * wp.outer(pulled, pulled)
         out.flow = moment * wp.diag(wp.vec2d(eta[0], eta[1])) / length
         out.natural = -share * moment
-        out.twist = eta[2] * twisting[r, i] / length
+        out.twist = eta[2] * model.twisting[r, i] / length
     strains_out[r, i] = out
 
 

@@ -14,6 +14,7 @@ ds/dt) / l - s0: with one eta for both bendings the elastic rod has the same law
 import warp as wp
 from wrod.kernels.elastic.curvature import component, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO, edge
+from wrod.kernels.elastic.model import ElasticModel
 
 wp.set_module_options({"enable_backward": False})
 
@@ -72,8 +73,7 @@ def shift_strains(
 @wp.kernel
 def flow_stretching(
     # Model:
-    rest_length: wp.array2d(dtype=wp.float64),
-    stretching: wp.array2d(dtype=wp.float64),
+    model: ElasticModel,
     viscous_time: wp.array2d(dtype=wp.vec4d),
     # State in:
     starting: wp.array(dtype=wp.int32),
@@ -82,17 +82,16 @@ def flow_stretching(
     strain: wp.array2d(dtype=wp.vec4d),
     strain_older: wp.array2d(dtype=wp.vec4d),
     # Out:
-    rest_length_out: wp.array2d(dtype=wp.float64),
-    stretching_out: wp.array2d(dtype=wp.float64),
+    flown: ElasticModel,
 ):
     """Stiffness and rest length of the elastic edges that stand for the viscous ones this step."""
     r, i = wp.tid()
     if starting[r] == 0:
         return
-    k = stretching[r, i]
-    rest = rest_length[r, i]
-    rest_length_out[r, i] = rest
-    stretching_out[r, i] = k
+    k = model.stretching[r, i]
+    rest = model.rest_length[r, i]
+    flown.rest_length[r, i] = rest
+    flown.stretching[r, i] = k
     eta = viscous_time[r, i][3]
     if eta == ZERO or k == ZERO:
         return
@@ -101,19 +100,14 @@ def flow_stretching(
     # c_0 + c_1 + c_2 = 0: the history of |e| / l - 1 is that of |e| / l, and c_0.
     history = (c[0] + (c[1] * strain[r, i][3] + c[2] * strain_older[r, i][3]) / rest) / step[r]
     stretch = ONE - eta * history / factor
-    rest_length_out[r, i] = stretch * rest
-    stretching_out[r, i] = factor * stretch * k
+    flown.rest_length[r, i] = stretch * rest
+    flown.stretching[r, i] = factor * stretch * k
 
 
 @wp.kernel
 def flow_bending(
     # Model:
-    rest_length: wp.array2d(dtype=wp.float64),
-    bending: wp.array2d(dtype=wp.vec2d),
-    natural_curvature: wp.array2d(dtype=wp.vec2d),
-    softening: wp.array2d(dtype=wp.vec2d),
-    twisting: wp.array2d(dtype=wp.float64),
-    natural_twist: wp.array2d(dtype=wp.float64),
+    model: ElasticModel,
     viscous_time: wp.array2d(dtype=wp.vec4d),
     # State in:
     starting: wp.array(dtype=wp.int32),
@@ -121,23 +115,17 @@ def flow_bending(
     step: wp.array(dtype=wp.float64),
     strain: wp.array2d(dtype=wp.vec4d),
     strain_older: wp.array2d(dtype=wp.vec4d),
-    flown_length: wp.array2d(dtype=wp.float64),
-    # Out:
-    bending_out: wp.array2d(dtype=wp.vec2d),
-    invariant_out: wp.array2d(dtype=wp.vec2d),
-    natural_curvature_out: wp.array2d(dtype=wp.vec2d),
-    softening_out: wp.array2d(dtype=wp.vec2d),
-    twisting_out: wp.array2d(dtype=wp.float64),
-    natural_twist_out: wp.array2d(dtype=wp.float64),
+    # In and out:
+    flown: ElasticModel,
 ):
     """The same of bending and twisting, for edges whose rest lengths have flown."""
     r, j = wp.tid()
     if starting[r] == 0:
         return
     i = j + 1
-    length = HALF * (rest_length[r, i - 1] + rest_length[r, i])
+    length = HALF * (model.rest_length[r, i - 1] + model.rest_length[r, i])
     # Moments per integrated strain must not know of lengths that only stretching has changed.
-    grown = HALF * (flown_length[r, i - 1] + flown_length[r, i]) / length
+    grown = HALF * (flown.rest_length[r, i - 1] + flown.rest_length[r, i]) / length
     eta = viscous_time[r, i]
     c = coefficient[r]
     dt = step[r]
@@ -145,16 +133,16 @@ def flow_bending(
     f1 = ONE + eta[0] * c[0] / dt
     f2 = ONE + eta[1] * c[0] / dt
     f3 = ONE + eta[2] * c[0] / dt
-    b = bending[r, i]
-    rest = natural_curvature[r, i]
-    bending_out[r, i] = wp.vec2d(grown * f1 * b[0], grown * f2 * b[1])
+    b = model.bending[r, i]
+    rest = model.natural_curvature[r, i]
+    flown.bending[r, i] = wp.vec2d(grown * f1 * b[0], grown * f2 * b[1])
     # What twist must not soften does not flow.
-    invariant_out[r, i] = grown * b
-    natural_curvature_out[r, i] = wp.vec2d(
+    flown.invariant[r, i] = grown * b
+    flown.natural_curvature[r, i] = wp.vec2d(
         (rest[0] - eta[0] * history[0]) / (grown * f1),
         (rest[1] - eta[1] * history[1]) / (grown * f2),
     )
-    law = softening[r, i]
-    softening_out[r, i] = wp.vec2d(law[0] * (f1 * f1 * grown * grown), law[1])
-    twisting_out[r, i] = grown * f3 * twisting[r, i]
-    natural_twist_out[r, i] = (natural_twist[r, i] - eta[2] * history[2]) / (grown * f3)
+    law = model.softening[r, i]
+    flown.softening[r, i] = wp.vec2d(law[0] * (f1 * f1 * grown * grown), law[1])
+    flown.twisting[r, i] = grown * f3 * model.twisting[r, i]
+    flown.natural_twist[r, i] = (model.natural_twist[r, i] - eta[2] * history[2]) / (grown * f3)

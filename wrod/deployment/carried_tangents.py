@@ -195,15 +195,13 @@ class Tangents:
         if not (self.bends or viscosity.exists):
             return
         state, pace = batch.state, dynamics.pace
-        rest, stretching, bending, _, natural, softening, twisting, _ = batch.elastic_model
         past = [self.unstrained] * 2
         if viscosity.exists:
             past = [viscosity.strain, viscosity.strain_older]
         batch.launch(
             flow_tangents.linearise_flow,
             (batch.rod_count, batch.node_count - 1),
-            [rest, stretching, bending, natural, softening, twisting, viscosity.time, pace]
-            + [state.dof, state.director, *past],
+            [batch.elastic_model, viscosity.time, pace, state.dof, state.director, *past],
             [self.strains],
         )
         batch.launch(

@@ -1,6 +1,7 @@
 """The arrays of a batch of rods, and how they are set."""
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -16,12 +17,21 @@ from wrod.kernels.elastic.frames import (
     set_reference_frames,
 )
 from wrod.kernels.elastic.inelastic import Inelastic, inelastic_energy, set_inelastic_laws
+from wrod.kernels.elastic.model import ElasticModel
 from wrod.rods.device import OnDevice
 from wrod.rods.state import RodState
 
 
 def _floats(name: str, value) -> np.ndarray:
     return arguments.floats(value, name, RodError)
+
+
+def with_arrays(model: ElasticModel, **others: wp.array) -> ElasticModel:
+    """The same with other arrays in some places."""
+    out = ElasticModel()
+    for name in ElasticModel.vars:
+        setattr(out, name, others.get(name, getattr(model, name)))
+    return out
 
 
 class BatchArrays(OnDevice):
@@ -40,8 +50,9 @@ class BatchArrays(OnDevice):
     twisting_stiffness: wp.array
     natural_curvature: wp.array
     softening: wp.array
+    natural_twist: wp.array
     energies: list[tuple[wp.Kernel, wp.array]]
-    layers: list[tuple[wp.array, wp.array]]
+    layers: list[ElasticModel]
     cut_edges: tuple[int, ...]
 
     def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
@@ -72,38 +83,35 @@ class BatchArrays(OnDevice):
             ) from None
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
 
+    @cached_property
+    def elastic_model(self) -> ElasticModel:
+        """What the elastic energy depends on besides the state: the arrays of this batch."""
+        model = ElasticModel()
+        model.rest_length, model.stretching = self.rest_length, self.stretching_stiffness
+        model.bending = model.invariant = self.bending_stiffness
+        model.natural_curvature, model.softening = self.natural_curvature, self.softening
+        model.twisting, model.natural_twist = self.twisting_stiffness, self.natural_twist
+        return model
+
     def set_layers(self, layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
         """Parallel layers beside `bending_stiffness`, each with a softening of its own, whose
         moments add up to a law of another form: (rod, node, 2) stiffness, of either sign but not 0,
         and (rod, node, 2) softening of each. They share the natural curvature."""
         shape = (self.rod_count, self.node_count, 2)
-        new = [
-            (
-                self._array("layer", stiffness, shape, wp.vec2d),
-                self._array("softening", softening, shape, wp.vec2d),
-            )
-            for stiffness, softening in layers
-        ]
-        if len(new) != len(self.layers):
-            self.layers = new
-        for layer, values in zip(self.layers, new, strict=True):
-            for array, value in zip(layer, values, strict=True):
-                array.assign(value)
+        if len(layers) != len(self.layers):
+            self.layers = [self._layer() for _ in layers]
+        for layer, (stiffness, softening) in zip(self.layers, layers, strict=True):
+            layer.bending.assign(self._array("layer", stiffness, shape, wp.vec2d))
+            layer.softening.assign(self._array("softening", softening, shape, wp.vec2d))
 
-    def layer_model(self, layer: tuple[wp.array, wp.array]) -> list[wp.array]:
-        """`elastic_model` of one of the `layers`: it bends, it neither stretches nor twists."""
-        stiffness, softening = layer
-        nothing = wp.zeros_like(self.twisting_stiffness)
-        return [
-            self.rest_length,
-            wp.zeros_like(self.stretching_stiffness),
-            stiffness,
-            stiffness,
-            self.natural_curvature,
-            softening,
-            nothing,
-            nothing,
-        ]
+    def _layer(self) -> ElasticModel:
+        """One of the `layers`: it bends, it neither stretches nor twists."""
+        stiffness, nothing = map(wp.zeros_like, (self.bending_stiffness, self.twisting_stiffness))
+        return with_arrays(
+            self.elastic_model, stretching=wp.zeros_like(self.stretching_stiffness),
+            bending=stiffness, invariant=stiffness, softening=wp.zeros_like(self.softening),
+            twisting=nothing, natural_twist=nothing,
+        )  # fmt: skip
 
     def set_softening(self, softening) -> None:
         """Give every rod its law: (rod, node, 2) as in the constructor, broadcast.

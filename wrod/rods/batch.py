@@ -12,6 +12,7 @@ from wrod.errors import RodError
 from wrod.kernels.elastic.bending import elasticity
 from wrod.kernels.elastic.frames import transport_reference_frames
 from wrod.kernels.elastic.loads import dead_loads
+from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.elastic.softened_bending import softened_elasticity
 from wrod.kernels.lanes import CROWD, LONG, WARP, lanes
 from wrod.kernels.stepping.continuation import copy_configuration
@@ -201,27 +202,11 @@ class RodBatch(BatchArrays):
         self._launch_twist(self.state, self.state, active)
 
     @property
-    def elastic_model(self) -> list[wp.array]:
-        """What the elastic energy depends on besides the state: rest lengths, stretching and
-        bending stiffness, that of bending's invariant (`wrod.kernels.elastic.bending`), natural
-        curvature, softening, twisting stiffness, natural twist."""
-        return [
-            self.rest_length,
-            self.stretching_stiffness,
-            self.bending_stiffness,
-            self.bending_stiffness,
-            self.natural_curvature,
-            self.softening,
-            self.twisting_stiffness,
-            self.natural_twist,
-        ]
-
-    @property
     def launched(self) -> tuple:
         """What launches are made of besides the numbers in the arrays: recorded ones serve as long
         as it stays the same."""
-        arrays = [*self.elastic_model, self.node_mass, self.gravity, self.point_load, self.free]
-        arrays += [a for layer in self.layers for a in layer] + [a for _, a in self.energies]
+        arrays = [self.node_mass, self.gravity, self.point_load, self.free]
+        arrays += [layer.bending for layer in self.layers] + [a for _, a in self.energies]
         kernels = [id(kernel) for kernel, _ in self.energies]
         return (self.softens, len(self.layers), *kernels, *(a.ptr for a in arrays))
 
@@ -232,7 +217,7 @@ class RodBatch(BatchArrays):
         state: RodState | None = None,
         out: Derivatives | None = None,
         active: wp.array | None = None,
-        model: list[wp.array] | None = None,
+        model: ElasticModel | None = None,
         energy: bool = True,
         energies: list | None = None,
     ) -> Derivatives:
@@ -257,40 +242,25 @@ class RodBatch(BatchArrays):
             out.clear(order)
         results = [out.energy if energy else self._nothing, out.gradient, out.hessian]
 
+        shape = [state.dof, state.director, state.reference_twist]
+
         def launch(kernel, count, inputs, outputs=results):
             self.launch(kernel, (self.rod_count, count), inputs, outputs)
 
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
         terms = [(softened_elasticity if self.softens else elasticity, model or self.elastic_model)]
-        terms += [(softened_elasticity, self.layer_model(layer)) for layer in self.layers]
+        terms += [(softened_elasticity, layer) for layer in self.layers]
         for i, (kernel, numbers) in enumerate(terms):
             wp.launch(
                 kernel,
                 dim=(self.rod_count, count),
-                inputs=[*numbers, active, state.dof, state.director, state.reference_twist, order]
-                + [owned, i == 0],
+                inputs=[numbers, active, *shape, order, owned, i == 0],
                 outputs=results,
                 device=self.device,
                 block_dim=width,
             )
         for kernel, number in self.energies if energies is None else energies:
-            launch(
-                kernel,
-                nodes - 2,
-                [
-                    self.rest_length,
-                    self.bending_stiffness,
-                    self.natural_curvature,
-                    self.twisting_stiffness,
-                    self.natural_twist,
-                    number,
-                    active,
-                    state.dof,
-                    state.director,
-                    state.reference_twist,
-                    order,
-                ],
-            )
+            launch(kernel, nodes - 2, [self.elastic_model, number, active, *shape, order])
         launch(
             dead_loads,
             nodes,

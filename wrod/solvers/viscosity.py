@@ -4,7 +4,9 @@ import numpy as np
 import warp as wp
 
 from wrod.errors import RodError
+from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.stepping import viscosity as kernels
+from wrod.rods.arrays import with_arrays
 from wrod.rods.batch import RodBatch
 
 
@@ -48,7 +50,9 @@ class Viscosity:
         self.model = None
         if not self.exists:
             return
-        self.model = [wp.clone(a) for a in batch.elastic_model]
+        model = batch.elastic_model
+        own = {name: wp.clone(getattr(model, name)) for name in ElasticModel.vars}
+        self.model = with_arrays(model, **own)
         self.strain, self.strain_older = (
             wp.zeros(shape[:2], dtype=wp.vec4d, device=device) for _ in range(2)
         )
@@ -82,22 +86,11 @@ class Viscosity:
         """The same for a history of strains (rod, node)."""
         if not self.exists:
             return
-        batch = self.batch
-        rest, stretching, bending, _, curvature, softening, twisting, twist = batch.elastic_model
-        history = [starting, coefficient, step, strain, strain_older]
-        self._launch(
-            kernels.flow_stretching,
-            batch.node_count - 1,
-            [rest, stretching, self.time, *history],
-            self.model[:2],
-        )
-        self._launch(
-            kernels.flow_bending,
-            batch.node_count - 2,
-            [rest, bending, curvature, softening, twisting, twist, self.time, *history]
-            + self.model[:1],
-            self.model[2:],
-        )
+        nodes = self.batch.node_count
+        inputs = [self.batch.elastic_model, self.time]
+        inputs += [starting, coefficient, step, strain, strain_older]
+        self._launch(kernels.flow_stretching, nodes - 1, inputs, [self.model])
+        self._launch(kernels.flow_bending, nodes - 2, inputs, [self.model])
 
     def finish(self, accepted: wp.array) -> None:
         """Carry the strains of accepted steps over to the next."""

@@ -24,6 +24,7 @@ from wrod.identification.clamped.setup import ClampedSetup
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.kernels.linear import banded
 from wrod.kernels.stepping.motion_tangents import elastic_tangents
+from wrod.rods.arrays import with_arrays
 from wrod.rods.batch import RodBatch
 from wrod.solvers.banded import BandedSystem
 
@@ -129,7 +130,8 @@ class Sensitivity:
         laws = [law_layers(setups) for setups in rates]
         for k, layer in enumerate(batch.layers):
             names = ("bending_stiffness", "softening")
-            here = dict(zip(names, (array.numpy() for array in layer), strict=True))
+            arrays = (layer.bending.numpy(), layer.softening.numpy())
+            here = dict(zip(names, arrays, strict=True))
             own = {name: _rates_of([law[k][i] for law in laws]) for i, name in enumerate(names)}
             here |= {name: np.zeros_like(model[name]) for name in none}
             own |= {name: np.zeros_like(moved[name]) for name in none}
@@ -186,41 +188,39 @@ class Sensitivity:
         central differences are exact there; along that of the rest length they are good to 1e-8.
         """
         batch, device = self.batch, self.device
-        names = ("rest_length", "bending_stiffness", "natural_curvature", "twisting_stiffness")
-        model = {n: getattr(batch, n) for n in (*names, "natural_twist")}
+        model = batch.elastic_model
 
         def add(number, factor, **moved):
             """`factor` times the gradient with some of the model's arrays in other values."""
-            arrays = [moved.get(n, a) for n, a in model.items()]
             part = wp.zeros_like(batch.derivatives.gradient)
             state = batch.state
             batch.launch(
                 bend_twist_energy,
                 (batch.rod_count, batch.node_count - 2),
-                [*arrays, number, batch.every_rod]
+                [with_arrays(model, **moved), number, batch.every_rod]
                 + [state.dof, state.director, state.reference_twist, 1],
                 [wp.zeros_like(batch.derivatives.energy), part, batch.derivatives.hessian],
             )
             out[:] += factor * part.numpy()
 
+        def shifted(name, change):
+            known = getattr(model, name)
+            return wp.array(known.numpy() + change, dtype=known.dtype, device=device)
+
         if coupling_rate.any():
             add(wp.array(coupling_rate, dtype=wp.vec2d, device=device), 1.0)
+        length = ("rest_length",)
         for _, coupling in batch.energies:
-            for moving, least in ((("natural_curvature", "natural_twist"), 1.0), (names[:1], 1e-4)):
+            for moving, least in ((("natural_curvature", "natural_twist"), 1.0), (length, 1e-4)):
                 rates = {n: rate[n] for n in moving}
                 largest = max(np.abs(r).max() for r in rates.values())
                 if largest == 0.0:
                     continue
                 h = least / largest
-                if moving == names[:1]:
+                if moving == length:
                     h *= float(batch.rest_length.numpy().max())
                 for sign in (1.0, -1.0):
-                    moved = {
-                        n: wp.array(
-                            model[n].numpy() + sign * h * r, dtype=model[n].dtype, device=device
-                        )
-                        for n, r in rates.items()
-                    }
+                    moved = {n: shifted(n, sign * h * r) for n, r in rates.items()}
                     add(coupling, 0.5 * sign / h, **moved)
 
     def _prescribed_rate(self, setups: Sequence[ClampedSetup]) -> np.ndarray:
