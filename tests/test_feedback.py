@@ -275,6 +275,11 @@ def test_what_lies_beside_is_made_up_for_by_several_steps(bend):
     now = Moment(beliefs, way, 0.12, np.array([0.0, 2e-3]), horizon=10.0)
     before, after, _, corrected = follow([now._corrected(way, 0.12)], hold=0.05)[0]
     assert before[-15:].mean() > 2e-3 and after[-15:].mean() < 0.5 * before[-15:].mean()
+    # What is too small for another deployment is made up for as derivatives say.
+    now = Moment(beliefs, corrected.way, 0.12, np.array([0.0, 2.2e-3]), horizon=10.0)
+    before, after, _, finer = follow([now._corrected(corrected.way, 0.12)], hold=0.05)[0]
+    assert 0.0 < np.abs(finer.way.path.position - corrected.way.path.position).max() < 1e-3
+    assert after.mean() < before.mean()
     moved = corrected.way.path.position - trajectory.position
     # Nothing of what is gone is changed, and the grip goes on without a step.
     ahead = way.laid > 0.12

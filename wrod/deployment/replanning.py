@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -22,9 +22,9 @@ _SIZE, _ROUGHNESS = 2e-4, 2e-4
 # grows by after one that was cut to it and saves more. One step is not enough on a slippery table,
 # where a rod answers linearly to a millimetre and not to a centimetre.
 _STEP, _SHORTER, _SHORT, _LONGER, _KEPT_PROMISE = 0.35, 0.3, 0.5, 2.0, 0.5
-# So many steps at most, and none that would save less by its model than that part, or than a root
-# mean square of that [m].
-_STEPS, _DONE, _FELT = 10, 0.05, 1e-4
+# So many steps are tried at most, and none that would save less by its model than that part, or than
+# a root mean square of that [m]: what that says is taken on trust, up to such a size [L_gb].
+_STEPS, _DONE, _FELT, _TRUSTED = 10, 0.05, 1e-4, 0.03
 # Damping of a step, relative to errors of 1 L_gb, that is tried first where it would be too large.
 _DAMPING = 1e-6
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
@@ -161,11 +161,12 @@ class Moment:
             return _Point(values, error, rates * there[:, None], doubts, cost)
 
         first = now = yield from at(np.zeros(len(cost)))
-        radius = _STEP
+        radius, damping = _STEP, _DAMPING * METRIC_POINTS * lgb**2
         for _ in range(_STEPS if np.isfinite(now.value) else 0):
-            step = now.step(radius, _DAMPING * METRIC_POINTS * lgb**2)
-            length, promised = np.abs(step).max(), now.value - now.ahead(step)
+            step = now.step(radius, damping)
+            length, promised = np.abs(step).max(), now.value - now.after(step).value
             if not promised > max(_DONE * now.value, METRIC_POINTS * _FELT**2):
+                now = now.after(now.step(min(radius, _TRUSTED), damping))
                 break
             tried = yield from at(now.values + step)
             saved = now.value - tried.value
@@ -212,10 +213,10 @@ class _Point:
         """Squared errors, and what the corrections cost [m^2]."""
         return float(self.error @ self.error + self.values @ self.cost @ self.values)
 
-    def ahead(self, step: np.ndarray) -> float:
-        """What `value` would be after a step, if errors were linear [m^2]."""
-        error, values = self.error + self.rates @ step, self.values + step
-        return float(error @ error + values @ self.cost @ values)
+    def after(self, step: np.ndarray) -> _Point:
+        """After a step, if errors were linear."""
+        error = self.error + self.rates @ step
+        return replace(self, values=self.values + step, error=error)
 
     def step(self, radius: float, damping: float) -> np.ndarray:
         """(n,) by which they get least, damped until none of it is larger than `radius`: cut, it
