@@ -22,9 +22,9 @@ _SIZE, _ROUGHNESS = 2e-4, 2e-4
 # grows by after one that was cut to it and saves more. One step is not enough on a slippery table,
 # where a rod answers linearly to a millimetre and not to a centimetre.
 _STEP, _SHORTER, _SHORT, _LONGER, _KEPT_PROMISE = 0.35, 0.3, 0.5, 2.0, 0.5
-# So many steps are tried at most, and none that would save less by its model than that part, or than
-# a root mean square of that [m]: what that says is taken on trust, up to such a size [L_gb].
-_STEPS, _DONE, _FELT, _TRUSTED = 10, 0.05, 1e-4, 0.03
+# So many steps are tried at most, and none that would save less by its model than that part, or
+# than a root mean square of that [m]: that is taken on trust, up to such a size [L_gb].
+_STEPS, _DONE, _FELT, _TRUSTED = 10, 0.1, 1e-4, 0.03
 # Damping of a step, relative to errors of 1 L_gb, that is tried first where it would be too large.
 _DAMPING = 1e-6
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
@@ -176,7 +176,7 @@ class Moment:
             now = tried
             if not saved > _KEPT_PROMISE * promised:
                 radius = _SHORT * length
-            elif length > 0.9 * radius:
+            elif length > 0.8 * radius:
                 radius *= _LONGER
         lost, left = (np.hypot(*one.error.reshape(2, -1)) for one in (first, now))
         reach = float(near[-1])
@@ -226,5 +226,5 @@ class _Point:
         step = -np.linalg.solve(matrix, slope)
         while np.abs(step).max() > radius:
             step = -np.linalg.solve(matrix + damping * np.eye(len(slope)), slope)
-            damping *= 2.0
+            damping *= 1.2
         return step
