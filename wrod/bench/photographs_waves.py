@@ -29,8 +29,8 @@ from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 from wrod.solvers.contact import Friction
 
-RODS, PATTERNS = ("rope", "pink-vps"), ("line", "letterU", "circle")
-# Length of the waves as they are seen, of both rods, and its phase in the rope [m].
+RODS, PATTERNS = ("rope", "pink-vps", "green-vps"), ("line", "letterU", "circle")
+# Length of the rope's and pink's waves as they are seen, and its phase in the rope [m].
 _WAVE, _PHASE = 0.28, 0.045
 # Ways round that a rod may be rolled in the grip.
 _ROLLS = 8
@@ -100,6 +100,7 @@ class Mechanism:
 _OF_ROD: dict[str, tuple[tuple[float, ...], float, float]] = {
     "rope": ((0.01, 0.03), 0.5, 7.0),
     "pink-vps": ((0.004, 0.012, 0.022), 1.0, 2.0),
+    "green-vps": ((0.012, 0.022, 0.032), 1.0, 2.0),
 }
 
 
