@@ -295,7 +295,7 @@ def test_a_grip_that_no_rod_reaches_counts_as_diverged(bend):
     assert problem._state(values.ravel(), laid, np.inf).measure == np.inf
 
 
-def _descended(share: float, lgb: float, ahead: bool = True, floor: float = 0.0):
+def _descended(share: float, lgb: float, ahead: bool = True, floor: float = 0.0, beside: int = 1):
     class Far:
         """Three numbers that had better be 2; of what that promises a share comes true, and a floor
         is left."""
@@ -311,7 +311,7 @@ def _descended(share: float, lgb: float, ahead: bool = True, floor: float = 0.0)
         patch.setattr(descent, "_FAR", np.inf)
         next(descend(Far(), ahead))
     states, last = ended.value.value
-    return [float(x[0]) for x in (*(one.values for one in states), *last)]
+    return [float(x[0]) for x in (*(one.values for one in states), *last[:beside])]
 
 
 @pytest.mark.parametrize("share, reached", [(1.0, 1.05), (0.6, 1.05), (0.3, 0.525)])
@@ -329,6 +329,9 @@ def test_steps_go_on_only_where_they_save_much_and_much_is_left():
     # Each saves little of what it promised, and the next is half as long: that ends where no more
     # is promised than a twentieth.
     np.testing.assert_allclose(_descended(0.3, 1.0), [0.0, 0.35, 0.525])
+    # From near, too, one that comes after such a step is laid before it is taken for the last.
+    np.testing.assert_allclose(_descended(1.0, 90.0, beside=0), [0.0, 0.35])
+    np.testing.assert_allclose(_descended(0.3, 90.0, beside=0), [0.0, 0.35, 0.525])
 
 
 def test_from_far_off_bends_are_corrected_one_after_the_other():

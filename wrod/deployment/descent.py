@@ -46,8 +46,8 @@ _LIMIT = 1e2
 _STEP, _SHORTER, _SHORTEST = 0.35, 0.4, 0.01
 _LONGER, _KEPT_PROMISE, _SHORT = 2.0, 0.5, 0.5
 # Steps of a plan at least, and at most: further ones where the last but one saved this part of the
-# error. A step from so near [L_gb] is not laid by itself: what more steps save from there on, on
-# fine meshes too, unseen rods do not feel.
+# error. A step from so near [L_gb] is not laid by itself, unless the one before saved too little of
+# what it promised: what more steps save from there on, on fine meshes too, unseen rods do not feel.
 _STEPS, _MORE, _SAVED, _NEAR = 2, 6, 0.2, 0.06
 # Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
 _TOLERANCE = 5e-3
@@ -268,14 +268,14 @@ def descend(problem: Problem, ahead: bool) -> Course[tuple[list[State], list[np.
 
 def _steps(problem: Problem, states: list[State], ahead: bool) -> Course[list[np.ndarray]]:
     """Adds what further steps from the best of the states come to."""
-    best, radius, last = min(states, key=lambda one: one.measure), _STEP, False
+    best, radius, last, as_said = min(states, key=lambda one: one.measure), _STEP, False, True
     for k in range(1, _MORE + 1):
         step, damped = best.step(radius)
         saved = best.saved(step)
         if saved < 1.0 - _DONE**2:
             break
         near = best.measure < _NEAR * problem.corrections.lgb
-        last |= k == _MORE or (k >= _STEPS and near)
+        last |= k == _MORE or (k >= _STEPS and near and as_said)
         if ahead and last:
             return [best.values + step]
         tried = yield from problem.at(best.values + step)
