@@ -51,6 +51,21 @@ def test_friction_on_bars_holds_and_lets_go():
     )
 
 
+@pytest.mark.parametrize(("density", "pushed", "most"), [(0.5, 0.5, 120), (5000.0, 0.0, 60)])
+def test_steps_of_what_slides_are_kept(density, pushed, most):
+    """A light box that slides to rest on two cables, and one that is heavier than these: in a
+    second of 60 steps hardly any is halved (by the derivative of friction alone, 180 and 75)."""
+    scene = Simulation(density=density)
+    for y in (-0.04, 0.04):
+        scene.rod(along(0, 0.6, 30, (0.0, y, 0.0)), start="clamped", end="clamped", air_damping=5)
+    box = scene.box((0.0, 0.0, 0.0231))
+    scene.begin(DEVICE)
+    scene.throw(box, (pushed, 0.4 * pushed, 0.0))
+    scene.run(60, 1.0 / 60.0, box)
+    assert scene.pressed()[2] == pytest.approx(-scene.weight(box), rel=0.1)
+    assert scene.solver._groups[0].dynamics.step_count.numpy()[0] <= most
+
+
 def test_friction_stays_in_its_cone():
     """A ball that slides along a bar: the tangential part of the force is mu times the normal one,
     which points to its centre."""

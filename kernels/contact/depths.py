@@ -1,11 +1,11 @@
 """Edges deep inside solids: how they come out, and that none passes through one unseen."""
 
 import warp as wp
-from wrod.kernels.contact.closest import closest_on_edge, within_reach
+from wrod.kernels.contact.closest import SMOOTHING, closest_on_edge, within_reach
 from wrod.kernels.contact.edges import may_touch
 from wrod.kernels.contact.planes import Touchable
 from wrod.kernels.contact.shapes import BY_OTHERS, shape_before, shape_displacement
-from wrod.kernels.elastic.frames import ZERO, node
+from wrod.kernels.elastic.frames import TWO, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
 
@@ -129,3 +129,27 @@ def measure_depth(
         if may_touch(model, r, k, i) and within_reach(model.shapes[r, k], q, e, reach):
             c = closest_on_edge(model.shapes[r, k], q, e, SHARP * wp.length(e))
             wp.atomic_max(depth_out, r, reach - c.distance)
+
+
+@wp.kernel
+def count_near(
+    # State in:
+    dof: wp.array2d(dtype=wp.float64),
+    # Model, and out:
+    model: Touchable,
+):
+    """How many edges are within a radius of touching the bodies of which that matters. Launched
+    over (rod, edge)."""
+    r, i = wp.tid()
+    if model.radius[r, i] == ZERO:
+        return
+    q = node(dof, r, i)
+    e = node(dof, r, i + 1) - q
+    reach = TWO * wp.abs(model.radius[r, i])
+    for k in range(model.shapes.shape[1]):
+        shape = model.shapes[r, k]
+        matters = model.firmest[r, k] > ZERO and may_touch(model, r, k, i)
+        if matters and within_reach(shape, q, e, reach):
+            near = closest_on_edge(shape, q, e, SMOOTHING * model.rest_length[r, i])
+            if near.distance < reach:
+                wp.atomic_add(model.near, model.bearer[r, k], 1)

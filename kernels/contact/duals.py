@@ -31,6 +31,45 @@ def next_dual(dual: Any, before: Any, now: Any, limit: wp.float64):
 
 
 @wp.func
+def follow_dual(
+    # In:
+    iteration: int,
+    held: wp.vec3d,
+    now: wp.vec3d,
+    limit: wp.float64,
+    slides: bool,
+    # In and out:
+    stretch: wp.array3d(dtype=wp.vec3d),
+    dual: wp.array3d(dtype=wp.vec3d),
+    # In:
+    r: int,
+    k: int,
+    i: int,
+) -> wp.vec3d:
+    """Dual in an iteration of a bristle that is stretched by `now`: it goes on from iteration to
+    iteration (below 0: the step has ended) from what was `held` at the start of the step. What
+    holds has its dual by its stretch alone: of most bristles nothing is written."""
+    none = wp.vec3d()
+    if iteration < 0:
+        return next_dual(none, none, now, limit)
+    before = stretch[r, k, i]
+    slid = wp.length_sq(before) > ZERO
+    w = wp.vec3d()
+    if iteration == 0:
+        w = next_dual(none, none, held, limit)
+    else:
+        if slid:
+            w = dual[r, k, i]
+        w = next_dual(w, before, now, limit)
+    if slides:
+        dual[r, k, i] = w
+        stretch[r, k, i] = now
+    elif slid:
+        stretch[r, k, i] = none
+    return w
+
+
+@wp.func
 def bristle_stiffness(
     stretch: wp.vec3d, dual: wp.vec3d, normal: wp.vec3d, stiffness: wp.float64, limit: wp.float64
 ) -> wp.mat33d:

@@ -8,6 +8,7 @@ gradient of that distance D is that of the solid's at fixed s, and the normal fo
 
 import warp as wp
 from wrod.kernels.contact.closest import SMOOTHING, Closest, closest_on_edge, within_reach
+from wrod.kernels.contact.duals import bristle_stiffness, follow_dual
 from wrod.kernels.contact.planes import (
     Touchable,
     coefficient,
@@ -27,7 +28,7 @@ from wrod.kernels.elastic.assembly import (
     add_row,
     add_vector,
 )
-from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
 
@@ -143,13 +144,14 @@ def is_late(m: Touchable, relaxation: wp.float64, dt: wp.float64, r: int, k: int
 @wp.struct
 class EdgeHold:
     """How a fixture holds an edge that it touches: normal force and its slope, the bristle's pull,
-    its stiffness and by how much it slides; torque about the edge of what keeps its roll, and its
-    stiffness."""
+    its stiffness, the stretch at which it slides, and by how much it does; torque about the edge of
+    what keeps its roll, and its stiffness."""
 
     force: wp.float64
     slope: wp.float64
     pull: wp.vec3d
     tangential: wp.mat33d
+    limit: wp.float64
     slides: wp.float64
     torque: wp.float64
     turning: wp.float64
@@ -175,6 +177,7 @@ def hold_edge(
     out.slope = law[1]
     limit = coefficient(m, sliding, r, k) * law[0]
     held = return_mapping(c.bristle, c.near.normal, c.stiffness, limit)
+    out.limit = limit / c.stiffness
     out.pull = held.pull
     out.tangential = held.tangential
     out.slides = held.slides
@@ -234,11 +237,15 @@ def edge_contact(
     bristle: wp.array3d(dtype=wp.vec3d),
     sliding: wp.array3d(dtype=wp.int32),
     turned: wp.array3d(dtype=wp.float64),
+    iteration: wp.array(dtype=wp.int32),
     # State in and out:
+    stretch: wp.array3d(dtype=wp.vec3d),
+    dual: wp.array3d(dtype=wp.vec3d),
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
 ):
-    """Subtract contact forces from the residual and add their stiffness to the matrix.
+    """Subtract contact forces from the residual and add their stiffness to the matrix, that of
+    friction by its dual, which goes on from `iteration` to iteration.
 
     Left out of the matrix, which would not be symmetric with it: how a sliding edge's friction
     depends on its normal force, and how it moves along the edge with the point of contact.
@@ -253,6 +260,13 @@ def edge_contact(
             spun = dof[r, a + 3] - dof_before[r, a + 3]
             was = turned[r, k, i]
             held = hold_edge(model, c, sliding[r, k, i], was, spun, step[r], r, k, i)
+            w = follow_dual(
+                iteration[r], bristle[r, k, i], c.bristle, held.limit, held.slides > ZERO, stretch,
+                dual, r, k, i,
+            )  # fmt: skip
+            held.tangential = bristle_stiffness(
+                c.bristle, w, c.near.normal, c.stiffness, held.limit
+            )
             b = edge_blocks(c, held)
             add_vector(gradient, r, a, b.at_head)
             add_vector(gradient, r, a + 4, b.at_tail)
@@ -264,6 +278,8 @@ def edge_contact(
             if model.roll_friction[r, k] >= ZERO:
                 add_component(gradient, r, a + 3, held.torque)
                 add_entry(hessian, r, a + 3, 0, held.turning)
+        elif iteration[r] == 0:
+            stretch[r, k, i] = wp.vec3d()
 
 
 @wp.func
@@ -316,30 +332,6 @@ def clear_pushes(
     if accepted[r] != 0:
         push_out[r, k] = wp.vec3d(ZERO, ZERO, ZERO)
         moment_out[r, k] = wp.vec3d(ZERO, ZERO, ZERO)
-
-
-@wp.kernel
-def count_near(
-    # State in:
-    dof: wp.array2d(dtype=wp.float64),
-    # Model, and out:
-    model: Touchable,
-):
-    """How many edges are within a radius of touching the bodies of which that matters. Launched
-    over (rod, edge)."""
-    r, i = wp.tid()
-    if model.radius[r, i] == ZERO:
-        return
-    q = node(dof, r, i)
-    e = node(dof, r, i + 1) - q
-    reach = TWO * wp.abs(model.radius[r, i])
-    for k in range(model.shapes.shape[1]):
-        shape = model.shapes[r, k]
-        matters = model.firmest[r, k] > ZERO and may_touch(model, r, k, i)
-        if matters and within_reach(shape, q, e, reach):
-            near = closest_on_edge(shape, q, e, SMOOTHING * model.rest_length[r, i])
-            if near.distance < reach:
-                wp.atomic_add(model.near, model.bearer[r, k], 1)
 
 
 @wp.kernel

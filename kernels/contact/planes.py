@@ -14,7 +14,7 @@ kinetic one: within a step the law is fixed, and Newton converges.
 """
 
 import warp as wp
-from wrod.kernels.contact.duals import bristle_stiffness, next_dual
+from wrod.kernels.contact.duals import bristle_stiffness, follow_dual
 from wrod.kernels.contact.shapes import PLANE, Shape, shape_displacement
 from wrod.kernels.elastic.assembly import (
     add_column,
@@ -255,24 +255,10 @@ def contact(
             stiffness = model.stiffness[r, i]
             held = return_mapping(c.bristle, n, stiffness, mu * law[0])
             limit = mu * law[0] / stiffness
-            w = wp.vec3d()
-            if iteration[r] < 0:
-                w = next_dual(w, w, c.bristle, limit)
-            else:
-                # What holds has its dual by its stretch alone: of most nodes nothing is written.
-                before = stretch[r, k, i]
-                slid = wp.length_sq(before) > ZERO
-                if iteration[r] == 0:
-                    w = next_dual(w, w, bristle[r, k, i], limit)
-                else:
-                    if slid:
-                        w = dual[r, k, i]
-                    w = next_dual(w, before, c.bristle, limit)
-                if held.slides > ZERO:
-                    dual[r, k, i] = w
-                    stretch[r, k, i] = c.bristle
-                elif slid:
-                    stretch[r, k, i] = wp.vec3d()
+            w = follow_dual(
+                iteration[r], bristle[r, k, i], c.bristle, limit, held.slides > ZERO, stretch,
+                dual, r, k, i,
+            )  # fmt: skip
             tangential = bristle_stiffness(c.bristle, w, n, stiffness, limit)
             add_vector(gradient, r, 4 * i, held.pull - law[0] * n)
             add_diagonal_block(hessian, r, 4 * i, tangential + law[1] * wp.outer(n, n))

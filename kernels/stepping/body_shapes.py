@@ -13,6 +13,7 @@ and opposite at the same point. As H, both leave out what would not be symmetric
 import warp as wp
 from wrod.kernels.contact.closest import closest_on_edge, within_reach
 from wrod.kernels.contact.depths import SHARP
+from wrod.kernels.contact.duals import bristle_stiffness
 from wrod.kernels.contact.edges import edge_blocks, edge_touch, hold_edge
 from wrod.kernels.contact.planes import Touchable
 from wrod.kernels.contact.shapes import WITH_RODS, Shape
@@ -101,6 +102,7 @@ def push_carriers(
     bristle: wp.array3d(dtype=wp.vec3d),
     sliding: wp.array3d(dtype=wp.int32),
     turned: wp.array3d(dtype=wp.float64),
+    dual: wp.array3d(dtype=wp.vec3d),
     now: BodyMotion,
     # State in and out:
     push: wp.array3d(dtype=wp.float64),
@@ -108,7 +110,7 @@ def push_carriers(
     touch: wp.array3d(dtype=wp.float64),
 ):
     """Add what edges do to the bodies whose shapes they touch, subtracted as in residuals, and the
-    derivatives by the motions of these bodies."""
+    derivatives by the motions of these bodies; after `edge_contact`, which says duals."""
     r, i = wp.tid()
     if active[r] == 0 or model.radius[r, i] == ZERO:
         return
@@ -123,6 +125,10 @@ def push_carriers(
         spun = dof[r, a + 3] - dof_before[r, a + 3]
         was = turned[r, k, i]
         held = hold_edge(model, c, sliding[r, k, i], was, spun, step[r], r, k, i)
+        if held.slides > ZERO:
+            held.tangential = bristle_stiffness(
+                c.bristle, dual[r, k, i], c.near.normal, c.stiffness, held.limit
+            )
         b = edge_blocks(c, held)
         j = 6 * s
         place = now.place[r, s]

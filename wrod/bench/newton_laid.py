@@ -136,7 +136,7 @@ def collision(scheme: str, device: str = "cpu") -> tuple[np.ndarray, np.ndarray,
     simulation = Simulation((0.0, 0.0, 0.0), mu=0.3)
     simulation.rod(along(1, 0.6, 30), air_damping=0.0)
     ball = simulation.ball((-0.03, 0.05, 0.002))
-    simulation.begin(device, scheme=scheme, tolerance=1e-12)
+    simulation.begin(device, scheme=scheme, tolerance=1e-12, max_step=0.5 * _STEP)
     simulation.throw(ball, (1.0, 0.0, 0.0))
     simulation.run(1, body=ball)
     before = simulation.momentum()

@@ -294,7 +294,7 @@ class Contact(OnDevice):
             [*self.duals, out.gradient, out.hessian],
         )
         if self._has_fixtures:
-            self._edges.add(self.time_step, active, dof, dof_before)
+            self._edges.add(self.time_step, active, dof, dof_before, self.iteration)
         if self.holds_roll:
             self.batch.launch(
                 rolls.hold_roll,

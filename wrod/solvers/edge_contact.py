@@ -28,6 +28,7 @@ class EdgeContact:
         push, moment: (rod, shape) force on each shape at the end of the last step, and its moment
             about the origin.
         carried: shapes that move with the rods, or None.
+        duals: as of `Contact`, of edges.
         yields: whether shapes are pressed gently (`yield_to`).
     """
 
@@ -59,6 +60,7 @@ class EdgeContact:
         shape = (batch.rod_count, table[1], edges)
         self.bristle = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self.sliding = wp.zeros(shape, dtype=wp.int32, device=device)
+        self.duals = tuple(wp.zeros(shape, dtype=wp.vec3d, device=device) for _ in range(2))
         self.push = wp.zeros(table, dtype=wp.vec3d, device=device)
         self.moment = wp.zeros(table, dtype=wp.vec3d, device=device)
         self.turned = wp.zeros(shape, dtype=wp.float64, device=device)
@@ -101,7 +103,7 @@ class EdgeContact:
         """Find out how many edges share that stiffness from now on."""
         if self.yields:
             self._model.near.zero_()
-            self._launch(kernels.count_near, [dof], [self._model])
+            self._launch(depths.count_near, [dof], [self._model])
 
     @property
     def yielding(self) -> list[wp.array]:
@@ -126,14 +128,15 @@ class EdgeContact:
         self.carried = carried
         self._model.apart = wp.array(apart.astype(np.int8), dtype=wp.int8, device=self.batch.device)
 
-    def add(self, step: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+    def add(self, step, active, dof, dof_before: wp.array, iteration: wp.array) -> None:
         out, old = self.batch.derivatives, [self.bristle, self.sliding, self.turned]
         if self.carried is not None:
             self.carried.place(self._model.shapes, active)
         inputs = [self._model, step, active, dof, dof_before, *old]
-        self._launch(kernels.edge_contact, inputs, [out.gradient, out.hessian])
+        outputs = [*self.duals, out.gradient, out.hessian]
+        self._launch(kernels.edge_contact, [*inputs, iteration], outputs)
         if self.carried is not None:
-            self.carried.push(self._model, inputs[1:])
+            self.carried.push(self._model, [*inputs[1:], self.duals[1]])
 
     def refuse(self, converged: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         inputs = [self._model, self._hidden, dof, dof_before]
