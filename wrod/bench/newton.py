@@ -17,7 +17,7 @@ def command(
     bodies: bool = option("Cables that pull bodies, and a pile; the default."),
     many: bool = option("Many worlds, a step in a graph, a large pile."),
     worlds: int = option("Worlds of --many.", default=1024),
-    cables: int = option("Cables of the pile of --many.", default=40),
+    cables: int = option("Cables of the pile of --many; of SolverVBD too if tens.", default=40),
     edges: int = option("Edges of a cable of --many.", default=40),
     device: str = option("cpu, cuda:0 or auto.", default="cpu"),
 ) -> None:
