@@ -360,8 +360,9 @@ def test_gradients_through_a_body_on_rods(friction, options):
     exact = PRESSED
     if friction > 0.5:
         exact = dict.fromkeys(PROPERTIES, 2e-5) | {k: v / 8.0 for k, v in PRESSED.items()}
-        exact |= {"node_q": 3e-8, "edge_spin": 1e-3, "rod_air_damping": 2e-4}
-        exact |= {"rod_internal_damping": 1e-4, "node_bending_stiffness": 4e-4}
+        exact |= {"node_q": 3e-8, "edge_spin": 1e-3, "rod_internal_damping": 1e-4}
+    if scene.dt < 0.01:  # of what counts little in so short a time
+        exact = exact | {"rod_air_damping": 1e-3, "node_bending_stiffness": 2e-3}
     # Rods that are bent at rest keep their roll, which a difference would begin.
     agrees(scene, exact, ["rod_internal_damping"], without=["node_natural_curvature"])
     assert agrees_by_friction(scene).any() == (friction < 3.0)  # nothing slides
