@@ -112,10 +112,10 @@ def fit_models(
     each = -(-len(still) // max(-(-len(still) // _BATCH), 1))
     groups = [still[k : k + each] for k in range(0, len(still), each or 1)] + [windy] * bool(windy)
     least_gains = np.broadcast_to(least_gain, len(models))
-    if isinstance(origin, Sequence):
-        states = [_state_of(laboratory, one, trials) for one in origin]
-    else:
-        states = [_state_of(laboratory, origin, trials)] * len(models)
+    origins = origin if isinstance(origin, Sequence) else [origin] * len(models)
+    distinct = {id(one): one for one in origins}
+    shapes = {key: _state_of(laboratory, one, trials) for key, one in distinct.items()}
+    states = [shapes[id(one)] for one in origins]
 
     def run(group, rival=rival):
         own = ([models[c] for c in group], [starts[c] for c in group])

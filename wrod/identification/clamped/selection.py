@@ -109,9 +109,9 @@ def _so_far(laboratory: Laboratory) -> Selection:
 
 def _chosen(laboratory: Laboratory, candidates: list[Effect], build: bool):
     """(model, rounds, held out) of the whole search."""
-    pool, tried_to_build = list(candidates), not build
+    pool, tried_to_build, before = list(candidates), not build, []
     for _ in range(_NOISE_PASSES):
-        opening = _opening(laboratory, pool)
+        opening = _opening(laboratory, pool, before)
         if tried_to_build or opening.reaches_noise:
             current, rounds, held_out = _search(laboratory, pool, opening)
             if build:
@@ -123,6 +123,7 @@ def _chosen(laboratory: Laboratory, candidates: list[Effect], build: bool):
         else:
             current, rounds, held_out = _with_built(laboratory, pool, opening, None)
             tried_to_build = True
+        before = [*opening.singles, *opening.pairs, *(f for r in rounds for f in r.fits)]
         if not _noise_changed(laboratory, current):
             break
         if not _at_noise(laboratory, current):
@@ -142,10 +143,14 @@ class _Opening:
     reaches_noise: bool
 
 
-def _opening(laboratory: Laboratory, pool: list[Effect]) -> _Opening:
-    """The first fits, and a law of unknown form in the `pool` where a known one comes nearest."""
+def _opening(laboratory: Laboratory, pool: list[Effect], before: list[Fit]) -> _Opening:
+    """The first fits, and a law of unknown form in the `pool` where a known one comes nearest.
+
+    Args:
+        before: what was fitted with other noise, to start from.
+    """
     empty = base_fit(laboratory)
-    singles = extensions(laboratory, empty, pool)
+    singles = extensions(laboratory, empty, pool, before=before)
     if not singles or _reaches_noise(laboratory, empty):
         return _Opening(singles, [], True)
     near, best = _reaches_noise(laboratory, singles[0]), singles[0].model.names[0]
@@ -157,7 +162,7 @@ def _opening(laboratory: Laboratory, pool: list[Effect]) -> _Opening:
         near = _reaches_noise(laboratory, singles[0])
     if near:
         return _Opening(singles, [], True)
-    pairs = best_of_each(pairs_beside(laboratory, singles[0], pool, joined=True))
+    pairs = best_of_each(pairs_beside(laboratory, singles[0], pool, joined=True, before=before))
     return _Opening(singles, pairs, bool(pairs) and _reaches_noise(laboratory, pairs[0]))
 
 

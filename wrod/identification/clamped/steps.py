@@ -50,23 +50,30 @@ def best_of_each(fits: list[Fit]) -> list[Fit]:
     return sorted(best.values(), key=lambda f: f.bic)
 
 
-def extensions(laboratory, current: Fit, candidates, *, rival: float = np.inf) -> list[Fit]:
+def extensions(
+    laboratory, current: Fit, candidates, *, rival: float = np.inf, before: Sequence[Fit] = ()
+) -> list[Fit]:
     """Every candidate added to the current model that may pay for its parameters, best first.
 
     Args:
         rival: chi squared of another model that is already there.
+        before: fits of such models with other weights, to start from.
     """
-    models, starts = [], []
+    models, starts, origins = [], [], []
+    known = {f.model.effects: f for f in before}
     # No fit leaves much less than noise does.
     above = current.chi_squared - current.residual_count + 3.0 * np.sqrt(2 * current.residual_count)
     price = np.log(current.effective_count)
     for effect in candidates:
         count = len(effect.parameters)
         if effect.name not in current.model.names and above + count > BIC_MARGIN + price * count:
-            for start in _starts(laboratory, effect):
+            own = known.get((*current.model.effects, effect))
+            fresh = [np.concatenate([current.values, s]) for s in _starts(laboratory, effect)]
+            for start in [own.values] if own else fresh:
                 models.append(current.model.extended(effect))
-                starts.append(np.concatenate([current.values, start]))
-    return best_of_each(_fit(laboratory, models, starts, current, rival=rival))
+                starts.append(start)
+                origins.append(own or current)
+    return best_of_each(_fit(laboratory, models, starts, current, rival=rival, origins=origins))
 
 
 def has_profile(model: Model) -> bool:
@@ -79,12 +86,14 @@ def _described(candidates: Sequence[Effect]) -> list[Effect]:
     return [e for e in candidates if not isinstance(e, ProfileEffect)]
 
 
-def pairs_beside(laboratory, current: Fit, candidates, *, joined=False) -> list[Fit]:
+def pairs_beside(
+    laboratory, current: Fit, candidates, *, joined=False, before: Sequence[Fit] = ()
+) -> list[Fit]:
     """Pairs that are likely by superposition: the best single effect may stand for two others.
 
     Args:
         joined: also those of which it is one, from where it is fitted: from the base model's shapes
-            a rod that moves far may come to another equilibrium.
+            a rod that moves far may come to another equilibrium; before: as of `extensions`.
     """
     if current.chi_squared - current.residual_count < FLUCTUATION * np.sqrt(
         2.0 * current.residual_count
@@ -94,7 +103,7 @@ def pairs_beside(laboratory, current: Fit, candidates, *, joined=False) -> list[
     chosen = likely_pairs(laboratory, _described(candidates), _PAIRS)
     if joined:
         partners = {e.name: e for model, _ in chosen if first in model.names for e in model.effects}
-        own = extensions(laboratory, current, list(partners.values()))
+        own = extensions(laboratory, current, list(partners.values()), before=before)
     chosen = [(model, start) for model, start in chosen if first not in model.names]
     models, starts = [model for model, _ in chosen], [start for _, start in chosen]
     rival = min([current.chi_squared, *(f.chi_squared for f in own)])
@@ -223,18 +232,21 @@ def _join_last(rounds: list[Round], current: Fit, fits: list[Fit]) -> None:
             return
 
 
-def _fit(laboratory, models, starts, origin, rival: float = np.inf) -> list[Fit]:
+def _fit(laboratory, models, starts, origin, rival: float = np.inf, origins=None) -> list[Fit]:
     if not models:
         return []
     # Half of what would let it join, for the problem is not linear.
     price = np.log(laboratory.effective[laboratory.measurements.train].sum())
     paid = 0 if origin is None else len(origin.values)
+    least = [0.5 * (BIC_MARGIN + price * (len(v) - paid)) for v in starts]
+    if origins:  # what begins where it was fitted has no more to gain
+        least = [n if one is origin else 0.0 for n, one in zip(least, origins, strict=True)]
     fits = fit_models(
         laboratory,
         models,
         starts,
-        origin=origin,
-        least_gain=[0.5 * (BIC_MARGIN + price * (len(v) - paid)) for v in starts],
+        origin=origins or origin,
+        least_gain=least,
         rival=rival,
     )
     return _past_folds(laboratory, [f for f in fits if np.isfinite(f.chi_squared)])
