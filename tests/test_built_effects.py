@@ -20,7 +20,7 @@ BASIS = np.random.default_rng(3).normal(size=(21, 2, 3))
 PROBES = {
     "local_bend": (LocalBend, [0.3, -0.2, 0.22, np.log(0.02)]),
     "stretch": (Stretch, [-0.6, 0.8, 0.2, np.log(0.06)]),
-    "local_load": (LocalLoad, [0.02, -0.03, 0.01, 0.2, np.log(0.15)]),
+    "local_load": (LocalLoad, [0.02, -0.03, 0.01, 0.2, np.log(0.15), np.log(6e-3)]),
     "attraction": (Attraction, [0.05, 0.5, -0.1, 0.4, np.log(0.05)]),
     "moment_law": (lambda _: MomentLaw([2.0, 5.0, 12.0]), [0.4, -0.3, 0.5]),
     "profile": (lambda starts: ProfileEffect("curvature", BASIS), [0.4, -0.3, 0.2]),

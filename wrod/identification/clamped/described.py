@@ -15,6 +15,8 @@ from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_an
 # Width of the soft ends of a stretch [m], which is not to be seen: what bends and weighs moves by
 # the square of it.
 _END = 1e-3
+# That of a load's ends within a factor of e, whose place it moves [m].
+_SOFT_END = 5e-3
 
 
 def _cells(fraction: np.ndarray) -> np.ndarray:
@@ -27,12 +29,12 @@ def _mean(law, bounds) -> np.ndarray:
     return np.diff(law(bounds)) / np.diff(bounds)
 
 
-def _window(bounds, start, stop) -> np.ndarray:
-    """(n,) shares of the rod between (n + 1,) bounds that lie between two arc lengths, analytic."""
+def _window(bounds, start, stop, end=_END) -> np.ndarray:
+    """(n,) shares of the rod between (n + 1,) bounds that lie between two arc lengths, with ends
+    that wide, analytic."""
 
     def covered(s):
-        x = (s - start) / _END, (s - stop) / _END
-        return _END * (_softplus(x[0]) - _softplus(x[1]))
+        return end * (_softplus((s - start) / end) - _softplus((s - stop) / end))
 
     return _mean(covered, bounds)
 
@@ -46,7 +48,7 @@ class Described(Effect):
     """An effect with starts of its own, from a print.
 
     Args:
-        first: parameter vectors to start fits from.
+        first: parameter vectors to start fits from; of a load without the width of its ends.
     """
 
     def __init__(self, first: Sequence[ArrayLike]):
@@ -161,25 +163,33 @@ class Stretch(Described):
 class LocalLoad(Described):
     name = "local_load"
     title = "a force along a stretch of the rod, fixed in the laboratory"
-    reference = "dead force per length between two places"
+    reference = "dead force per length between two places, its ends logistic"
     parameters = (
         *(Parameter(f"force_{axis}", "N/m", 0.1) for axis in "xyz"),
         Parameter("start", "m", 0.5, anywhere=True),
         Parameter("log_length", "", 1.0, lower=np.log(2e-3), anywhere=True),
+        Parameter("log_end", "", 1.0, lower=np.log(1e-3), anywhere=True),
     )
+
+    def starts(self, measurements):
+        return [np.append(v, np.log(_SOFT_END)) for v in self.first]
 
     def apply(self, setup, values):
         bounds = _cells(setup.fraction) * setup.length
-        window = _window(bounds, values[3], values[3] + np.exp(values[4]))
+        window = _window(bounds, values[3], values[3] + np.exp(values[4]), np.exp(values[5]))
         setup.push(window[:, None] * np.asarray(values[:3]))
 
     def describe(self, values, covariance, measurements):
         own = super().describe(values, covariance, measurements)
         length = float(np.exp(values[4]))
         slopes = np.array([1.0, length])
-        error = float(np.sqrt(slopes @ covariance[3:, 3:] @ slopes))
-        found = {k: v for k, v in own.items() if k != "log_length"}
-        return found | {"stop": Estimate(float(values[3]) + length, error, "m")}
+        error = float(np.sqrt(slopes @ covariance[3:5, 3:5] @ slopes))
+        found = {k: v for k, v in own.items() if not k.startswith("log_")}
+        end = float(np.exp(values[5]))
+        return found | {
+            "stop": Estimate(float(values[3]) + length, error, "m"),
+            "end_width": Estimate(end, end * float(np.sqrt(covariance[5, 5])), "m"),
+        }
 
 
 class Attraction(Described):
