@@ -19,7 +19,7 @@ from wrod.identification.clamped.layout import (
     law_layers,
     wind_load,
 )
-from wrod.identification.clamped.sensing import Prediction, View
+from wrod.identification.clamped.sensing import END, Prediction, View
 from wrod.identification.clamped.sensitivity import WIND_PASSES, WIND_TOLERANCE, Sensitivity
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
@@ -308,7 +308,7 @@ class ClampedSolver:
         """Markers and wrench in the present state."""
         zero = np.zeros((self.batch.rod_count, self.batch.dof_count))
         self.batch.evaluate(order=1)
-        return View(self.batch).observe(setups, zero, zero)
+        return View(self.batch).observe(setups, zero, zero[:, -END:])
 
     def predict_rates(self, rates, wanted=None) -> list[Prediction]:
         """The present prediction with its derivatives; see `Sensitivity.predict_rates`."""

@@ -10,6 +10,9 @@ from wrod.identification.clamped.layout import COMPLEX_STEP, node_part
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.rods.batch import RodBatch
 
+# Degrees of freedom that the gripper holds: two nodes and the angle between them.
+END = 7
+
 
 @dataclass
 class Prediction:
@@ -37,7 +40,7 @@ class View:
         self.length = np.linalg.norm(edge, axis=2, keepdims=True)
         self.tangent = edge / self.length
         self.director = batch.material_directors()
-        self.gradient = batch.derivatives.gradient.numpy().copy()
+        self.gradient = batch.derivatives.gradient.numpy()[:, -END:].copy()
 
     def observe(
         self,
@@ -51,7 +54,7 @@ class View:
         Args:
             setups: one for each candidate.
             step: (rod, dof) rates of the degrees of freedom, which become imaginary parts.
-            reaction_rate: (rod, dof) rates of the unbalanced forces.
+            reaction_rate: (rod, END) rates of the unbalanced forces at the gripper.
             wanted: candidates to observe; zeros stand for the others. Default: all.
         """
         count, trials = len(setups), len(setups[0].clamp_position)

@@ -19,7 +19,7 @@ from wrod.identification.clamped.layout import (
     node_part,
     wind_load,
 )
-from wrod.identification.clamped.sensing import Prediction, View
+from wrod.identification.clamped.sensing import END, Prediction, View
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.kernels.linear import banded
@@ -90,7 +90,10 @@ class Sensitivity:
             if change <= WIND_TOLERANCE * np.abs(free_step).max(initial=1e-300):
                 break
         step += free_step
-        reaction_rate = self._times_hessian(step) + gradient_rate - load_rate
+        # Of the reactions only those at the gripper are seen.
+        last = step.shape[2] - END - banded.HALF_BANDWIDTH
+        reaction_rate = self._times_hessian(step[:, :, last:], last)[:, :, -END:]
+        reaction_rate += (gradient_rate - load_rate)[:, :, -END:]
         view = View(batch)
         wanted = [None] * count if wanted is None else wanted
         return [
@@ -98,7 +101,8 @@ class Sensitivity:
             for j, setups in enumerate(rates)
         ]
 
-    def _times_hessian(self, vectors: np.ndarray) -> np.ndarray:
+    def _times_hessian(self, vectors: np.ndarray, first: int = 0) -> np.ndarray:
+        """Products of the Hessian of the degrees of freedom from `first` on."""
         batch = self.batch
         product = wp.zeros(vectors.shape, dtype=wp.float64, device=self.device)
         batch.launch(
@@ -106,7 +110,7 @@ class Sensitivity:
             vectors.shape,
             [
                 batch.every_rod,
-                batch.derivatives.hessian,
+                batch.derivatives.hessian[:, first:],
                 wp.array(vectors, dtype=wp.float64, device=self.device),
             ],
             [product],
