@@ -92,8 +92,9 @@ class Effect:
     follows_shape: bool = False
     kinds: tuple[str, ...] = ("clamped",)
 
-    def starts(self, measurements: ClampedMeasurements) -> list[np.ndarray]:
-        """Values to start fits from; more than one where the fit has several optima."""
+    def starts(self, measurements: ClampedMeasurements | None) -> list[np.ndarray]:
+        """Values to start fits from; more than one where the fit has several optima. Of motion,
+        where `measurements` is None, the first is taken."""
         return [np.zeros(len(self.parameters))]
 
     def apply(self, setup: Any, values: np.ndarray) -> None:

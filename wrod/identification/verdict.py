@@ -47,9 +47,10 @@ CLAMPED = Thresholds(
 )  # fmt: skip
 MOTION = Thresholds(
     1.15, 0.2, False,
-    "The floor adds the time step's own error, which is estimated. It lies far below what any "
-    "model leaves of seconds of motion, so the excess is the error itself, and many effects share "
-    "it: all that are found take a third to two thirds of a recorded cable's.",
+    "The floor adds what mesh, time step and the noise of grips and first frames leave, which is "
+    "estimated. It lies far below what any model leaves of seconds of motion, so the excess is the "
+    "error itself, and many effects share it: all that are found take a third to two thirds of a "
+    "recorded cable's.",
 )  # fmt: skip
 LAID = Thresholds(
     1.15, 0.2, False,

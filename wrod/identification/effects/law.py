@@ -23,6 +23,10 @@ class Softening(Effect):
     sign, first, left = -1.0, (0.1, 0.7), "kept_stiffness"
 
     def starts(self, measurements):
+        if measurements is None:
+            # In motion there is one start: amid what cables bend by there and what they may lose. A
+            # fit from its edge comes to it in a dozen steps, or never.
+            return [np.array([np.log(10.0), 0.3])]
         return [np.array([np.log(k), change]) for k in (3.0, 30.0) for change in self.first]
 
     def apply(self, setup, values):

@@ -22,8 +22,9 @@ from wrod.identification.motion.windows import Windows, windows_of
 
 # Errors of a motion grow far beyond the markers' noise, so large ones count linearly.
 _ROBUST = 10e-3
-_DAMPING, _HARDER, _TRIALS = 1e-2, 5.0, 7
+_DAMPING, _HARDER, _TRIALS = 1e-3, 5.0, 7
 _CONVERGED = 2e-3
+_SETTLED = 2e-2
 # A parameter as large as its prior's scale costs this share of the misfit that a fit starts from.
 _PRIOR = 2e-3
 # Slices of windows that are run side by side: launches take turns, so more would only wait. Setting
@@ -177,6 +178,28 @@ class MotionLaboratory:
         finer, _, failed = other.run(windows, model.setup(other.base, values))
         return np.where(failed[:, None, None, None], 0.0, 4.0 / 3.0 * (finer - predicted))
 
+    def floor(
+        self, windows: Windows, model: Model, values: np.ndarray, predicted: np.ndarray
+    ) -> tuple[float, np.ndarray]:
+        """Error that may be left of a prediction although the model is right [m], and its
+        `discretisation`: noise of the markers that are compared, what mesh and time step leave, and
+        what the noise of grips, first frames and lengths makes of it: as much again shows it.
+
+        Args:
+            windows: from the start of recordings to their end.
+        """
+        lacking = self.discretisation(windows, model, values, predicted)
+        m, noise = self.measurements, np.random.default_rng(0)
+        noisy = noise.normal(m.positions, m.noise)
+        again = replace(
+            windows_of(replace(m, positions=noisy), windows.recording), markers=windows.markers
+        )
+        shaken, _, failed = self.run(again, model.setup(self.base, values))
+        shaken[failed] = predicted[failed]
+        parts = [self.error_between(windows, lacking + predicted, predicted)]
+        parts.append(self.error_between(windows, shaken, predicted))
+        return float(np.linalg.norm([m.noise_floor, *parts])), lacking
+
     def rates(self, model: Model, values: np.ndarray) -> list[MotionSetup]:
         """Setups whose imaginary parts are the parameters' rates."""
         out = []
@@ -277,14 +300,17 @@ class MotionLaboratory:
         return values, now
 
     def refine(self, windows: Windows, model: Model, values: np.ndarray, steps: int) -> np.ndarray:
-        """`fit` in a few steps, without the linearisation that would follow the last."""
+        """`fit` in a few steps, without the linearisation that would follow the last; until one
+        takes less than `_SETTLED` of the misfit."""
         self.misfit, damping = None, _DAMPING
         for _ in range(steps):
             now = self.linearise(windows, model, values)
-            trial, _, damping = self._step(windows, model, values, now, damping)
+            trial, cost, damping = self._step(windows, model, values, now, damping)
             if trial is None:
                 break
             values = trial
+            if now.cost - cost < _SETTLED * now.cost:
+                break
         return values
 
     def step(

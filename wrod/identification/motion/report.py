@@ -216,7 +216,8 @@ def _report(
     numerical = laboratory.error_between(few, fine, after[: len(few.recording)])
     # The halved step of a second-order scheme shows three quarters of the error.
     numerical *= 4.0 / 3.0
-    verdict, reason = verdict_of(selection, float(np.hypot(m.noise_floor, numerical)))
+    floor, _ = laboratory.floor(few, selection.model, selection.values, after[: len(few.recording)])
+    verdict, reason = verdict_of(selection, floor)
     if lost_after.any():
         names = ", ".join(m.names[r] for r in windows.recording[lost_after])
         reason += f"; the steps of {names} fail, which are scored with their last shape"

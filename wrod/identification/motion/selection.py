@@ -2,11 +2,12 @@
 
 The base model is a straight, uniform rod with drag in air and inside. In each round the candidates
 are ranked by the misfit that they promise to take away in the problem linearised around the present
-model. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them
-with the least error on whole validation recordings are fitted. The best joins if it lowers that
-error by `LEAST_GAIN` or more against the present model fitted for as many steps more, both as
-predicted and with what the mesh and the time step leave added to the predictions: an effect that
-makes up for edges and steps lowers the first and raises the second. The rounds end when none does,
+model. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them with the least
+error on whole validation recordings are fitted, and so is the most promising one: laws of bending
+come to what they promise in many steps only. The best joins if it lowers that error by
+`LEAST_GAIN` or more against the present model that was fitted on, too. Where little more is left
+than mesh and time step leave, it must not raise the error of predictions to which that is added,
+either: an effect that makes up for edges and steps does. The rounds end when none joins,
 when no more is left than noise, mesh and time step leave, or after `MOST_EFFECTS`. Then every
 effect without which the refitted model's validation error rises by less than `LEAST_GAIN` is taken
 out again; only those are tried that the linearised problem hardly needs. What is left is fitted to
@@ -34,7 +35,11 @@ MOST_EFFECTS = 6
 # (frames, recordings) of the windows: to begin with, of the selection and of the last fit.
 _SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 10), (None, 32)
 # Validation recordings that are predicted on a finer mesh with shorter steps.
-_RESOLVED = 4
+_RESOLVED = 8
+# Steps of a fit in a round, at most.
+_LONGEST = 10
+# Of an error of so many times the floor, a sixteenth of the squares may be the floor's.
+_NEAR = 4.0
 # Effects without which the linearised misfit rises by more than this share are not idle.
 _BUSY = 0.02
 
@@ -153,7 +158,7 @@ class _Selection:
     def _error(self, windows, model, values) -> float:
         return self.rod.error(windows, self.rod.predict(windows, model, values))
 
-    def _fit(self, model: Model, values: np.ndarray, steps: int) -> _Fitted:
+    def _fit(self, model: Model, values: np.ndarray, steps: int = _LONGEST) -> _Fitted:
         return self._validated(model, self.rod.refine(self.medium, model, values, steps))
 
     def _validated(self, model: Model, values: np.ndarray) -> _Fitted:
@@ -182,7 +187,7 @@ class _Selection:
         self.say("whole recordings")
         rod, whole = self.rod, self.whole
         base_values, _ = rod.fit(whole, base.model, base.values, iterations=4, converged=0.005)
-        values, fit = rod.fit(whole, now.model, now.values, iterations=5, converged=0.005)
+        values, fit = rod.fit(whole, now.model, now.values, iterations=8, converged=0.005)
         self.say("confounding")
         names, correlation = correlations_of(rod, self.medium, now.model, values, self.left)
         return MotionSelection(
@@ -222,8 +227,9 @@ class _Selection:
             model = now.model.extended(effect)
             values = self.rod.step(self.medium, model, np.r_[now.values, start], at)
             stepped[effect.name] = self._validated(model, values)
-        for name in sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]:
-            fitted = self._fit(stepped[name].model, stepped[name].values, steps=3)
+        kept = sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]
+        for name in dict.fromkeys([*kept, *list(stepped)[:1]]):
+            fitted = self._fit(stepped[name].model, stepped[name].values)
             tried[name] = min(stepped[name], fitted, key=lambda t: t.validation)
         found = stepped | tried
         rows = [
@@ -249,12 +255,8 @@ class _Selection:
         if not gain >= LEAST_GAIN:
             return now, None, f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
         # Others were fitted on from the present model: what further steps bring is not theirs.
-        now = min(now, self._fit(now.model, now.values, steps=3), key=lambda t: t.validation)
-        rod, few = self.rod, self.resolved
-        windows = self.validation.part(few)
-        lacking = rod.discretisation(windows, now.model, now.values, now.predicted[few])
-        floor = rod.error_between(windows, lacking, np.zeros_like(lacking))
-        floor = float(np.hypot(floor, rod.measurements.noise_floor))
+        now = min(now, self._fit(now.model, now.values), key=lambda t: t.validation)
+        floor, resolved = self._resolved(now)
         if MOTION.is_noise(now.validation, floor):
             return (
                 now,
@@ -268,14 +270,21 @@ class _Selection:
             if not gain >= LEAST_GAIN:
                 short = f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
                 return now, None, refused or short
-            resolved = [rod.error(windows, t.predicted[few] + lacking) for t in (one, now)]
-            if resolved[0] <= (1.0 - LEAST_GAIN) * resolved[1]:
+            if now.validation > _NEAR * floor or self._resolved(one)[1] < resolved:
                 return now, one, _lowers(gain)
             refused = refused or (
                 f"{one.model.names[-1]} {_lowers(gain)}, but not with what the mesh and the time "
                 "step leave added to the predictions: it makes up for them"
             )
         return now, None, refused
+
+    def _resolved(self, now: _Fitted) -> tuple[float, float]:
+        """What noise, mesh and time step leave of some validation recordings, and the error there
+        of predictions to which what the latter two leave is added [m]."""
+        rod, few = self.rod, self.resolved
+        windows = self.validation.part(few)
+        floor, lacking = rod.floor(windows, now.model, now.values, now.predicted[few])
+        return floor, rod.error(windows, now.predicted[few] + lacking)
 
     def _damped_after_all(self, now: _Fitted) -> None:
         """Internal damping may count only beside effects that were found later."""
