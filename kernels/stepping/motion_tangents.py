@@ -257,6 +257,56 @@ def elastic_tangents(
 
 
 @wp.kernel
+def flow_tangents(
+    # Model:
+    rest_length: wp.array2d(dtype=wp.float64),
+    stretching: wp.array2d(dtype=wp.float64),
+    viscous_time: wp.array2d(dtype=wp.vec3d),
+    rest_length_rate: wp.array2d(dtype=wp.float64),
+    stretching_rate: wp.array2d(dtype=wp.float64),
+    viscous_time_rate: wp.array2d(dtype=wp.vec3d),
+    # State in:
+    accepted: wp.array(dtype=wp.int32),
+    coefficients: wp.array(dtype=wp.vec3d),
+    step: wp.array(dtype=wp.float64),
+    dof: wp.array2d(dtype=wp.float64),
+    before: wp.array2d(dtype=wp.float64),
+    older: wp.array2d(dtype=wp.float64),
+    tangent_before: wp.array3d(dtype=wp.float64),
+    tangent_older: wp.array3d(dtype=wp.float64),
+    # In and out:
+    right_hand_side: wp.array3d(dtype=wp.float64),
+):
+    """Minus the rate of what damps stretching, by the time of the first bending, at a fixed
+    configuration."""
+    r, i, j = wp.tid()
+    if accepted[r] == 0:
+        return
+    m = wp.min(r, stretching.shape[0] - 1)
+    c = coefficients[r]
+    rest = rest_length[r, i]
+    e = edge(dof, r, i)
+    e_before = edge(before, r, i)
+    e_older = edge(older, r, i)
+    length = wp.length(e)
+    length_before = wp.length(e_before)
+    length_older = wp.length(e_older)
+    flow = (c[0] * length + c[1] * length_before + c[2] * length_older) / (step[r] * rest)
+    moved = column_node(tangent_before, r, j, i + 1) - column_node(tangent_before, r, j, i)
+    flow_rate = c[1] * wp.dot(e_before, moved) / length_before
+    moved = column_node(tangent_older, r, j, i + 1) - column_node(tangent_older, r, j, i)
+    flow_rate += c[2] * wp.dot(e_older, moved) / length_older
+    flow_rate = flow_rate / (step[r] * rest) - flow * rest_length_rate[j, i] / rest
+    k = stretching[m, i]
+    eta = viscous_time[m, i][0]
+    pull = (stretching_rate[j, i] * eta + k * viscous_time_rate[j, i][0]) * flow
+    pull += k * eta * flow_rate
+    for d in range(3):
+        wp.atomic_add(right_hand_side, r, j, 4 * i + d, pull * e[d] / length)
+        wp.atomic_add(right_hand_side, r, j, 4 * i + 4 + d, -pull * e[d] / length)
+
+
+@wp.kernel
 def held_tangents(
     # In: rates of the held nodes (rod, frame, column, 4) and of the rolls (column, 2)
     held_rate: wp.array4d(dtype=wp.vec3d),

@@ -33,8 +33,9 @@ class MotionSetup(RodSetup):
         force: (n + 1, 3) other forces per mass, fixed in the laboratory [m/s^2].
         linear_drag: (n + 1,) force per mass and velocity [1/s].
         quadratic_drag: (n + 1,) force per mass and velocity squared [1/m].
-        viscous_time: (n + 1, 3) Kelvin-Voigt time of bending (two directions) and twisting [s]; the
-            moment that softens is that of the strain and its rate times it.
+        viscous_time: (n + 1, 3) Kelvin-Voigt time of bending (two directions) and twisting [s], the
+            first of stretching, too; the moment that softens is that of the strain and its rate
+            times it.
         clamp_length: (2,) length inside each grip that still bends [m]; negative: of the free
             length, that does not.
         marker_offset: (M, 3) of every marker from the centreline, components along (m1, m2, t) [m].
@@ -101,10 +102,14 @@ class MotionSetup(RodSetup):
 
     @property
     def rest_length(self) -> np.ndarray:
-        """(n,) what the edges are long without their mean tension [m]."""
+        """(n,) what the edges are long without their mean tension [m].
+
+        That tension is of a rod as heavy as it is long while it is stretched, so a share r of its
+        length at rest is from r (1 + r tension / stretching) = 1.
+        """
         by_load, by_bending = self.mean_tension
         tension = by_load + by_bending * self.bending.mean()
-        return self.mean_length / (1.0 + tension / self.stretching)
+        return self.mean_length * 2.0 / (1.0 + np.sqrt(1.0 + 4.0 * tension / self.stretching))
 
     @property
     def node_length(self) -> np.ndarray:

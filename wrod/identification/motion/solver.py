@@ -146,9 +146,8 @@ class MotionRun:
         self.seen = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self.tangents = Tangents(self, setup, rates) if len(rates) else None
         self._twist()
-        viscous = np.concatenate(
-            [values["viscous_time"], np.zeros((self.batch.node_count, 1))], axis=1
-        )
+        # The material damps stretching as it damps bending.
+        viscous = values["viscous_time"][:, [0, 1, 2, 0]]
         length, mass = values["rest_length"], values["mass"]
         density = mass.sum() / length.sum(axis=1, keepdims=True)
         self.dynamics = Dynamics(

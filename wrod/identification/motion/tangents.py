@@ -208,6 +208,14 @@ class Tangents:
             + [self.now, self.older, self.velocity, self.velocity_older],
             [self.x],
         )  # fmt: skip
+        names = ("rest_length", "stretching", "viscous_time")
+        self._launch(
+            kernels.flow_tangents,
+            (batch.node_count - 1, self.count),
+            [model[k] for k in names] + [self.model[k] for k in names]
+            + [accepted, coefficient, step, batch.state.dof, *history[:2], self.now, self.older],
+            [self.x],
+        )  # fmt: skip
         viscosity = dynamics.viscosity
         self._elastic(accepted, coefficient, step, viscosity.strain, viscosity.strain_older)
         self._hold(accepted, dynamics.time, self.step_held)
