@@ -120,9 +120,25 @@ class AxialStiffness(Effect):
     name = "axial_stiffness"
     title = "wrong axial stiffness"
     reference = "k_s = 4 k_b / h^2 holds for a homogeneous round section only"
-    kinds = ("clamped", "motion")
     scales = ("stretching",)
     parameters = (Parameter("log_axial_stiffness_ratio", "", 1.5),)
+
+
+class AxialCompliance(AxialStiffness):
+    """The same of a rod in motion, by how much more it gives way: what markers show is nearly
+    linear in that, and nearly nothing at the stiffness of a common cable."""
+
+    kinds = ("motion",)
+    scales = ()
+    parameters = (Parameter("added_axial_compliance", "", 100.0, lower=-0.9),)
+
+    def apply(self, setup, values):
+        setup.stretching = setup.stretching / (1.0 + values[0])
+
+    def describe(self, values, covariance, measurements):
+        ratio = 1.0 / (1.0 + float(values[0]))
+        error = ratio**2 * float(np.sqrt(covariance[0, 0]))
+        return {"axial_stiffness_ratio": Estimate(ratio, error, "")}
 
 
 class TwistStiffness(Effect):

@@ -24,7 +24,6 @@ from wrod.identification.motion.windows import Windows, windows_of
 _ROBUST = 10e-3
 _DAMPING, _HARDER, _TRIALS = 1e-3, 5.0, 7
 _CONVERGED = 2e-3
-_SETTLED = 2e-2
 # A parameter as large as its prior's scale costs this share of the misfit that a fit starts from.
 _PRIOR = 2e-3
 # Slices of windows that are run side by side: launches take turns, so more would only wait. Setting
@@ -163,6 +162,13 @@ class MotionLaboratory:
         other.substeps = 2 * self.substeps
         return other
 
+    def resolved(self) -> MotionLaboratory:
+        """The same with half the edges and half the time step."""
+        return MotionLaboratory(
+            self.measurements, subdivisions=2 * self.subdivisions, substeps=2 * self.substeps,
+            device=self.device, free_roll=self.free_roll, remembered=self.remembered,
+        )  # fmt: skip
+
     def discretisation(
         self, windows: Windows, model: Model, values: np.ndarray, predicted: np.ndarray
     ) -> np.ndarray:
@@ -171,10 +177,7 @@ class MotionLaboratory:
         Both errors are of second order, so halving shows three quarters of it. Zero for windows
         whose steps do not converge there.
         """
-        other = MotionLaboratory(
-            self.measurements, subdivisions=2 * self.subdivisions, substeps=2 * self.substeps,
-            device=self.device, free_roll=self.free_roll,
-        )  # fmt: skip
+        other = self.resolved()
         finer, _, failed = other.run(windows, model.setup(other.base, values))
         return np.where(failed[:, None, None, None], 0.0, 4.0 / 3.0 * (finer - predicted))
 
@@ -191,9 +194,8 @@ class MotionLaboratory:
         lacking = self.discretisation(windows, model, values, predicted)
         m, noise = self.measurements, np.random.default_rng(0)
         noisy = noise.normal(m.positions, m.noise)
-        again = replace(
-            windows_of(replace(m, positions=noisy), windows.recording), markers=windows.markers
-        )
+        again = windows_of(replace(m, positions=noisy), windows.recording.tolist())
+        again = replace(again, markers=windows.markers)
         shaken, _, failed = self.run(again, model.setup(self.base, values))
         shaken[failed] = predicted[failed]
         parts = [self.error_between(windows, lacking + predicted, predicted)]
@@ -299,9 +301,11 @@ class MotionLaboratory:
                 break
         return values, now
 
-    def refine(self, windows: Windows, model: Model, values: np.ndarray, steps: int) -> np.ndarray:
+    def refine(
+        self, windows: Windows, model: Model, values: np.ndarray, steps: int, settled: float = 0.0
+    ) -> np.ndarray:
         """`fit` in a few steps, without the linearisation that would follow the last; until one
-        takes less than `_SETTLED` of the misfit."""
+        takes less than a share `settled` of the misfit."""
         self.misfit, damping = None, _DAMPING
         for _ in range(steps):
             now = self.linearise(windows, model, values)
@@ -309,7 +313,7 @@ class MotionLaboratory:
             if trial is None:
                 break
             values = trial
-            if now.cost - cost < _SETTLED * now.cost:
+            if now.cost - cost < settled * now.cost:
                 break
         return values
 

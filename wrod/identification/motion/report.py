@@ -194,15 +194,14 @@ def identify_motion(
         prints = trace_motion(
             m, base, selection.base_values, looked_at, int(m.validation[0]), device=device
         )
-    report = _report(laboratory, selection, prints)
+    report = _report(selection, prints)
     if remembered is not None:
         remembered.forget()
     return report
 
 
-def _report(
-    laboratory: MotionLaboratory, selection: MotionSelection, evidence: MotionTrace | None
-) -> MotionReport:
+def _report(selection: MotionSelection, evidence: MotionTrace | None) -> MotionReport:
+    laboratory = selection.laboratory
     m = laboratory.measurements
     windows = laboratory.windows(m.test)
     base = Model(selection.model.effects[: len(BASE)])

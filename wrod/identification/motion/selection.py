@@ -36,8 +36,8 @@ MOST_EFFECTS = 6
 _SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 10), (None, 32)
 # Validation recordings that are predicted on a finer mesh with shorter steps.
 _RESOLVED = 8
-# Steps of a fit in a round, at most.
-_LONGEST = 10
+# Steps of a candidate's fit, at most; it ends where one takes less than this share of the misfit.
+_LONGEST, _SETTLED = 10, 2e-2
 # Of an error of so many times the floor, a sixteenth of the squares may be the floor's.
 _NEAR = 4.0
 # Effects without which the linearised misfit rises by more than this share are not idle.
@@ -81,6 +81,7 @@ class MotionSelection:
     """What was chosen and why.
 
     Attributes:
+        laboratory: on the mesh and with the time step of what follows.
         base_values: (3,) of the base model, fitted as the last model is.
         model, values: the chosen model, `BASE` first.
         fit: its linearised misfit; covariance: (P, P) of the values.
@@ -93,6 +94,7 @@ class MotionSelection:
             for `correlated`, the chosen effects and then those that were left out.
     """
 
+    laboratory: MotionLaboratory
     base_values: np.ndarray
     model: Model
     values: np.ndarray
@@ -158,8 +160,8 @@ class _Selection:
     def _error(self, windows, model, values) -> float:
         return self.rod.error(windows, self.rod.predict(windows, model, values))
 
-    def _fit(self, model: Model, values: np.ndarray, steps: int = _LONGEST) -> _Fitted:
-        return self._validated(model, self.rod.refine(self.medium, model, values, steps))
+    def _fit(self, model: Model, values: np.ndarray, steps: int, settled: float = 0.0) -> _Fitted:
+        return self._validated(model, self.rod.refine(self.medium, model, values, steps, settled))
 
     def _validated(self, model: Model, values: np.ndarray) -> _Fitted:
         predicted = self.rod.predict(self.validation, model, values)
@@ -169,6 +171,11 @@ class _Selection:
         known = effects("motion")
         self.say("base model")
         base = self._base(BASE, known)
+        floor, _ = self._resolved(base)
+        if not MOTION.is_noise(base.validation, floor) and base.validation < _NEAR * floor:
+            # What is small beside what mesh and time step leave is looked for on finer ones.
+            self.rod = self.rod.resolved()
+            base = self._base(BASE, known)
         undamped = self._base(BASE[:2], known)
         gain = 1.0 - base.validation / undamped.validation
         damped = gain >= LEAST_GAIN and base.values[2] > 0.0
@@ -191,6 +198,7 @@ class _Selection:
         self.say("confounding")
         names, correlation = correlations_of(rod, self.medium, now.model, values, self.left)
         return MotionSelection(
+            laboratory=rod,
             base_values=base_values,
             model=now.model,
             values=values,
@@ -229,7 +237,7 @@ class _Selection:
             stepped[effect.name] = self._validated(model, values)
         kept = sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]
         for name in dict.fromkeys([*kept, *list(stepped)[:1]]):
-            fitted = self._fit(stepped[name].model, stepped[name].values)
+            fitted = self._fit(stepped[name].model, stepped[name].values, _LONGEST, _SETTLED)
             tried[name] = min(stepped[name], fitted, key=lambda t: t.validation)
         found = stepped | tried
         rows = [
@@ -255,7 +263,7 @@ class _Selection:
         if not gain >= LEAST_GAIN:
             return now, None, f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
         # Others were fitted on from the present model: what further steps bring is not theirs.
-        now = min(now, self._fit(now.model, now.values), key=lambda t: t.validation)
+        now = min(now, self._fit(now.model, now.values, steps=3), key=lambda t: t.validation)
         floor, resolved = self._resolved(now)
         if MOTION.is_noise(now.validation, floor):
             return (
