@@ -144,9 +144,12 @@ def test_an_effect_that_later_ones_make_idle_leaves_again(measured):
 
 
 def test_an_effect_that_makes_up_for_the_mesh_is_refused(measured):
-    shifts = [_Shift("up", (0, 0, 1)), _Shift("a", (1, 0, 0))]
+    """What the bound of b leaves and the mesh lacks are of one size."""
+    b = _Shift("b", (0, 1, 0))
+    b.parameters = (Parameter("size", "m", 1.0, upper=1.5e-3),)
+    shifts = [_Shift("up", (0, 0, 1)), _Shift("a", (1, 0, 0)), b]
     selection = select_motion(_Linear(measured, lacking=1e-3), shifts)
-    assert selection.model.names[3:] == ("a",)
+    assert sorted(selection.model.names[3:]) == ["a", "b"]
     assert selection.rounds[-1].reason.startswith("up lowers the validation error by")
     assert selection.rounds[-1].reason.endswith("it makes up for them")
 

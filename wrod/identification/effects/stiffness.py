@@ -120,8 +120,8 @@ class AxialStiffness(Effect):
     name = "axial_stiffness"
     title = "wrong axial stiffness"
     reference = "k_s = 4 k_b / h^2 holds for a homogeneous round section only"
-    scales = ("stretching",)
-    parameters = (Parameter("log_axial_stiffness_ratio", "", 1.5),)
+    scales: tuple[str, ...] = ("stretching",)
+    parameters: tuple[Parameter, ...] = (Parameter("log_axial_stiffness_ratio", "", 1.5),)
 
 
 class AxialCompliance(AxialStiffness):

@@ -38,8 +38,8 @@ _SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 10), (None, 32)
 _RESOLVED = 8
 # Steps of a candidate's fit, at most; it ends where one takes less than this share of the misfit.
 _LONGEST, _SETTLED = 10, 2e-2
-# Of an error of so many times the floor, a sixteenth of the squares may be the floor's.
-_NEAR = 4.0
+# Of an error of so many times the floor, a quarter of the squares may be the floor's.
+_NEAR = 2.0
 # Effects without which the linearised misfit rises by more than this share are not idle.
 _BUSY = 0.02
 
