@@ -17,6 +17,7 @@ there, which Dahl's law only has along one direction: its tangent is made symmet
 import warp as wp
 from wrod.kernels.elastic.curvature import excess_curvature, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
+from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.elastic.section import Response, make_section_energy
 
 wp.set_module_options({"enable_backward": False})
@@ -178,9 +179,7 @@ def forget_flow(
 @wp.kernel
 def finish_flow(
     # Model:
-    rest_length: wp.array2d(dtype=wp.float64),
-    bending_stiffness: wp.array2d(dtype=wp.vec2d),
-    natural_curvature: wp.array2d(dtype=wp.vec2d),
+    model: ElasticModel,
     # State in:
     accepted: wp.array(dtype=wp.int32),
     step: wp.array(dtype=wp.float64),
@@ -192,13 +191,13 @@ def finish_flow(
     """Let the chosen rods remember where they are after a `step`."""
     r, j = wp.tid()
     i = j + 1
-    b = bending_stiffness[r, i]
+    b = model.bending[r, i]
     here = node[r, i]
     if accepted[r] == 0 or here.law == ELASTIC or b[0] == ZERO:
         return
-    rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
+    rest = HALF * (model.rest_length[r, i - 1] + model.rest_length[r, i])
     s = stencil(dof, director, r, i)
-    excess = excess_curvature(s, rest, natural_curvature[r, i])
+    excess = excess_curvature(s, rest, model.natural_curvature[r, i])
     here.span = step[r]
     now = flow(here, excess, b / (HALF * (b[0] + b[1])))
     here.excess = excess

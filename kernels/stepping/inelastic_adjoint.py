@@ -18,6 +18,7 @@ from wrod.kernels.elastic.inelastic import (
     flow,
     one_less_exp_over,
 )  # fmt: skip
+from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.model_adjoint import WantedModel
 from wrod.kernels.stepping.trace import OneStep, Wanted
@@ -27,17 +28,8 @@ wp.set_module_options({"enable_backward": False})
 STENCIL = wp.constant(11)
 
 
-@wp.struct
-class Remembering:
-    """What memory has of the rods' model."""
-
-    rest_length: wp.array2d(dtype=wp.float64)
-    bending: wp.array2d(dtype=wp.vec2d)
-    natural_curvature: wp.array2d(dtype=wp.vec2d)
-
-
 @wp.func
-def cell(rod: Remembering, r: int, i: int) -> wp.float64:
+def cell(rod: ElasticModel, r: int, i: int) -> wp.float64:
     return HALF * (rod.rest_length[r, i - 1] + rod.rest_length[r, i])
 
 
@@ -63,7 +55,7 @@ def weight_of(stiffness: wp.vec2d) -> wp.vec2d:
 
 @wp.func
 def want_excess(
-    rod: Remembering, model: WantedModel, r: int, i: int, excess: wp.vec2d, wanted: wp.vec2d
+    rod: ElasticModel, model: WantedModel, r: int, i: int, excess: wp.vec2d, wanted: wp.vec2d
 ):
     """Of the natural curvature and the lengths that an excess curvature is over."""
     length = cell(rod, r, i)
@@ -102,7 +94,7 @@ def want_weights(wanted: wp.vec2d, stiffness: wp.vec2d) -> wp.vec2d:
 
 
 @wp.func
-def excess_of(step: OneStep, rod: Remembering, r: int, i: int) -> wp.vec2d:
+def excess_of(step: OneStep, rod: ElasticModel, r: int, i: int) -> wp.vec2d:
     s = stencil(step.dof, step.director, r, i)
     return excess_curvature(s, cell(rod, r, i), rod.natural_curvature[r, i])
 
@@ -110,7 +102,7 @@ def excess_of(step: OneStep, rod: Remembering, r: int, i: int) -> wp.vec2d:
 @wp.kernel
 def want_flowed(
     # Model:
-    rod: Remembering,
+    rod: ElasticModel,
     node: wp.array2d(dtype=Inelastic),
     # State in:
     step: OneStep,
@@ -136,7 +128,7 @@ def want_flowed(
 @wp.kernel
 def want_remembered(
     # Model:
-    rod: Remembering,
+    rod: ElasticModel,
     node: wp.array2d(dtype=Inelastic),
     # State in:
     step: OneStep,
@@ -191,7 +183,7 @@ def want_remembered(
 @wp.kernel
 def want_begun(
     # Model:
-    rod: Remembering,
+    rod: ElasticModel,
     node: wp.array2d(dtype=Inelastic),
     # State in:
     chosen: wp.array(dtype=wp.int32),
@@ -226,7 +218,7 @@ def want_begun(
 @wp.kernel
 def measure_skew(
     # Model:
-    rod: Remembering,
+    rod: ElasticModel,
     node: wp.array2d(dtype=Inelastic),
     # State in:
     step: OneStep,

@@ -13,6 +13,7 @@ from wrod.kernels.elastic.curvature import (
     stencil,
 )
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node
+from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.elastic.softened_bending import softening_law
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import solved
@@ -21,21 +22,6 @@ from wrod.kernels.stepping.trace import OneStep, Wanted
 from wrod.kernels.stepping.viscosity import strain
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.struct
-class Elastic:
-    """The elastic model of rods: see `wrod.rods.batch.RodBatch`; `viscous_time` as in
-    `wrod.solvers.viscosity.Viscosity`, without columns where nothing is viscous."""
-
-    rest_length: wp.array2d(dtype=wp.float64)
-    stretching: wp.array2d(dtype=wp.float64)
-    bending: wp.array2d(dtype=wp.vec2d)
-    natural_curvature: wp.array2d(dtype=wp.vec2d)
-    softening: wp.array2d(dtype=wp.vec2d)
-    twisting: wp.array2d(dtype=wp.float64)
-    natural_twist: wp.array2d(dtype=wp.float64)
-    viscous_time: wp.array2d(dtype=wp.vec4d)
 
 
 @wp.struct
@@ -75,7 +61,8 @@ def remember(
 @wp.kernel
 def want_stretching(
     # Model:
-    rod: Elastic,
+    rod: ElasticModel,
+    viscous_time: wp.array2d(dtype=wp.vec4d),
     # State in:
     step: OneStep,
     x: wp.array3d(dtype=ALONE),
@@ -84,7 +71,8 @@ def want_stretching(
     older: Wanted,
     model: WantedModel,
 ):
-    """Of the edges. Launched over (rod, edge)."""
+    """Of the edges. Launched over (rod, edge). `viscous_time` has no columns where nothing is
+    viscous."""
     r, i = wp.tid()
     if step.active[r] == 0 or rod.stretching[r, i] == ZERO:
         return
@@ -93,14 +81,14 @@ def want_stretching(
     rest = rod.rest_length[r, i]
     stretched = wp.dot(e, solved(x, r, i + 1) - solved(x, r, i)) / length
     stretch = length / rest - ONE
-    if rod.viscous_time.shape[1] > 0:
-        eta = rod.viscous_time[r, i][3] / rest
+    if viscous_time.shape[1] > 0:
+        eta = viscous_time[r, i][3] / rest
         history = step.strain[r, i][3], step.strain_older[r, i][3]
         c = step.coefficient[r]
         flow = difference(c, step.span[r], length, history[0], history[1])
         stretch += eta * flow
         wanted = -stretched * rod.stretching[r, i] * eta
-        length += rod.viscous_time[r, i][3] * flow
+        length += viscous_time[r, i][3] * flow
         times = model.viscous_time[r, i]
         times[3] = times[3] - stretched * rod.stretching[r, i] * flow / rest
         model.viscous_time[r, i] = times
@@ -113,7 +101,8 @@ def want_stretching(
 @wp.kernel
 def want_bending(
     # Model:
-    rod: Elastic,
+    rod: ElasticModel,
+    viscous_time: wp.array2d(dtype=wp.vec4d),
     # State in:
     step: OneStep,
     x: wp.array3d(dtype=ALONE),
@@ -147,14 +136,14 @@ def want_bending(
     length = HALF * (rod.rest_length[r, i - 1] + rod.rest_length[r, i])
     now = strain(step.dof, step.director, step.twist, r, i)
     flow = wp.vec3d(ZERO, ZERO, ZERO)
-    if rod.viscous_time.shape[1] > 0:
+    if viscous_time.shape[1] > 0:
         b = step.strain[r, i]
         o = step.strain_older[r, i]
         flow = rate(
             step.coefficient[r], step.span[r], now, wp.vec3d(b[0], b[1], b[2]),
             wp.vec3d(o[0], o[1], o[2]),
         )  # fmt: skip
-        eta = rod.viscous_time[r, i]
+        eta = viscous_time[r, i]
         now += wp.vec3d(eta[0] * flow[0], eta[1] * flow[1], eta[2] * flow[2])
     stiffness = rod.bending[r, i]
     natural = rod.natural_curvature[r, i]
@@ -190,8 +179,8 @@ def want_bending(
     over = now[2] / length - rod.natural_twist[r, i]
     model.twisting[r, i] = model.twisting[r, i] - twisted * over
     model.natural_twist[r, i] = model.natural_twist[r, i] + twisted * c
-    if rod.viscous_time.shape[1] > 0:
-        eta = rod.viscous_time[r, i] / length
+    if viscous_time.shape[1] > 0:
+        eta = viscous_time[r, i] / length
         times = model.viscous_time[r, i]
         for k in range(2):
             times[k] = times[k] - by_excess[k] * flow[k] / length

@@ -28,9 +28,6 @@ class FlowAdjoint:
         columns = nodes if lopsided else 0
         self.skew = wp.zeros((rods, columns), dtype=wp.float64, device=batch.device)
         self.rate = wp.zeros((rods, columns, 11), dtype=wp.vec2d, device=batch.device)
-        self._rod = kernels.Remembering()
-        self._rod.rest_length, self._rod.bending = batch.rest_length, batch.bending_stiffness
-        self._rod.natural_curvature = batch.natural_curvature
 
     @property
     def energies(self) -> list:
@@ -41,7 +38,7 @@ class FlowAdjoint:
     def _launch(self, kernel, inputs: list, outputs: list) -> None:
         batch = self._batch
         shape = batch.rod_count, batch.node_count - 2
-        batch.launch(kernel, shape, [self._rod, self.node, *inputs], outputs)
+        batch.launch(kernel, shape, [batch.elastic_model, self.node, *inputs], outputs)
 
     def measure_skew(self, step: Any) -> None:
         """Of the step that was taken up."""

@@ -31,8 +31,7 @@ class InternalVariables:
         batch, state = self.batch, self.batch.state
         if batch.inelastic is None:
             return
-        model = [batch.rest_length, batch.bending_stiffness, batch.natural_curvature]
-        inputs = [*model, accepted, step, state.dof, state.director]
+        inputs = [batch.elastic_model, accepted, step, state.dof, state.director]
         self._launch(kernels.finish_flow, inputs, batch.node_count - 2)
 
     def restart(self, chosen: wp.array) -> None:

@@ -77,17 +77,11 @@ class PropertyAdjoint:
         """
         batch = self._batch
         rods, nodes = batch.rod_count, batch.node_count
-        rod = model_adjoint.Elastic()
-        rod.rest_length, rod.stretching = batch.rest_length, batch.stretching_stiffness
-        rod.bending, rod.natural_curvature = batch.bending_stiffness, batch.natural_curvature
-        rod.softening, rod.twisting = batch.softening, batch.twisting_stiffness
-        rod.natural_twist = batch.natural_twist
-        rod.viscous_time = self._viscous_time
-        outputs = [*levels, self.model]
+        inputs = [batch.elastic_model, self._viscous_time, step, x]
         for kernel, count in (
             (model_adjoint.want_stretching, nodes - 1), (model_adjoint.want_bending, nodes - 2),
         ):  # fmt: skip
-            batch.launch(kernel, (rods, count), [rod, step, x], outputs)
+            batch.launch(kernel, (rods, count), inputs, [*levels, self.model])
         batch.launch(
             model_adjoint.want_masses,
             (rods, nodes),
