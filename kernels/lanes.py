@@ -32,17 +32,6 @@ def wait_for_lanes():
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __syncthreads_or(flag);
-#endif
-    return flag;
-""")
-def any_lane(flag: int) -> int:
-    """Wait for all lanes of a block; whether any of them brings a flag that is not 0."""
-    ...
-
-
 # What the warps of a block bring together: every lane reads all parts, in one order.
 _SHARE = """
     if (blockDim.x > 32) {

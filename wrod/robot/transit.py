@@ -69,10 +69,6 @@ class Transit:
             begin += leg.duration
         return out
 
-    def dense(self) -> np.ndarray:
-        """(k, n) points that are near each other."""
-        return np.concatenate([_points(leg.knots) for leg in self.legs])
-
 
 def _points(knots: np.ndarray) -> np.ndarray:
     """(k, n) points of a leg that are near each other."""
