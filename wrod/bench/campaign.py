@@ -1,8 +1,6 @@
 """Campaigns of simulated deployments: finished trials are kept, so that a stopped run goes on."""
 
-import time
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,32 +11,12 @@ import numpy as np
 from wrod import cost
 from wrod.deployment.bounds import check_release, refuse_long_moves
 from wrod.files.ledger import Ledger
-from wrod.machine import machine_line
 from wrod.options import option
-from wrod.telling import tell
 
 # Points at which laid curves are kept.
 _CURVE_POINTS = 60
 # Trials simulated between two notes in the ledger, on a CPU.
 _CPU_BATCH = 32
-
-
-@dataclass(frozen=True)
-class Spent:
-    """What a run cost: trials simulated, their time steps, and seconds."""
-
-    trials: int
-    steps: int
-    seconds: float
-
-    @property
-    def rate(self) -> float | None:
-        """Rod steps per second."""
-        return self.steps / self.seconds if self.trials else None
-
-    def __str__(self) -> str:
-        rate = "" if self.rate is None else f", {self.rate:.0f} rod steps per second"
-        return f"{self.trials} trials in {self.seconds:.1f} s{rate}"
 
 
 def run(
@@ -48,7 +26,7 @@ def run(
     *,
     device: str,
     batch: int | None = None,
-) -> Spent:
+) -> tuple[int, int]:
     """Simulate the trials that the ledger lacks, and note each batch of them when it is done.
 
     Args:
@@ -58,28 +36,30 @@ def run(
             done since the last call); returns their rows, each with "steps".
         device: where it runs.
         batch: trials at once; default: 32 on a CPU, all on a GPU.
+
+    Returns:
+        How many trials it simulated, and their time steps.
     """
-    pending = ledger.lacking(keys)
+    pending, steps = ledger.lacking(keys), 0
     size = _at_once(len(pending), batch, device)
-    start, steps = time.perf_counter(), 0
     with cost.progress_bar(
         total=len(keys), initial=len(keys) - len(pending), unit="trial",
         bar_format="{desc}{percentage:3.0f}% |{bar}| {elapsed} < {remaining}",
     ) as bar:  # fmt: skip
         for first in range(0, len(pending), size):
             part = pending[first : first + size]
-            rows = simulate(part, _counted(bar, len(part)))
+
+            def advanced(fraction: float, count: int = len(part)) -> None:
+                bar.update(min(fraction * count, bar.total - bar.n))
+
+            rows = simulate(part, advanced)
             ledger.add(rows)
             steps += sum(row["steps"] for row in rows)
-    return Spent(len(pending), steps, time.perf_counter() - start)
+    return len(pending), steps
 
 
 def _at_once(trials: int, batch: int | None, device: str) -> int:
     return batch or (_CPU_BATCH if device == "cpu" else max(trials, 1))
-
-
-def _counted(bar, count: int) -> Callable[[float], None]:
-    return lambda fraction: bar.update(min(fraction * count, bar.total - bar.n))
 
 
 def figures_of(deployment, pattern) -> dict:
@@ -184,90 +164,3 @@ def settle(common: Common, trials: int, length: float, more: float = 0.0) -> Non
         f"{trials} deployments",
         "ask for fewer trials, or for a larger --spacing or --step",
     )
-
-
-def say(
-    spent: Spent,
-    *,
-    device: str,
-    trials: int,
-    planned: float,
-    nodes: int,
-    summary: list[str],
-    written: Sequence[Path],
-    compiled: float = 0.0,
-) -> None:
-    """Tell what a campaign came to.
-
-    Args:
-        spent: on the deployments.
-        device: where they ran.
-        trials: in all, and the number of nodes of each.
-        planned: seconds that the plans took.
-        summary: what the rows say, in sentences.
-        written: files.
-        compiled: seconds that compiling kernels for a GPU took.
-    """
-    before = f"plans {planned:.1f} s"
-    if compiled:
-        before = f"compiling {compiled:.1f} s, {before}"
-    figures = {
-        "machine": machine_line(device),
-        "device": device,
-        "trials": trials,
-        "simulated_now": spent.trials,
-        "compiling_seconds": compiled,
-        "planning_seconds": planned,
-        "simulation_seconds": spent.seconds,
-        "rod_steps_per_second": spent.rate,
-        "nodes": nodes,
-        "summary": summary,
-        "written": [str(path) for path in written],
-    }
-    tell(figures, f"{spent} of {nodes} nodes on {device} ({before})", *summary)
-
-
-@dataclass(frozen=True)
-class Cell:
-    """Means over the trials of one cell that did not diverge [cm]: of error and deviation along the
-    pattern, with the grip holding and let go; and how many trials there were."""
-
-    held: tuple[float, float]
-    released: tuple[float, float]
-    trials: int
-    diverged: int
-
-    @property
-    def error(self) -> float:
-        return self.held[0]
-
-    @property
-    def lost(self) -> str:
-        """A remark on trials that diverged."""
-        return f" ({self.diverged} diverged)" if self.diverged else ""
-
-
-def grouped(rows: Sequence[dict], keys: Sequence[str]) -> dict[tuple, list[dict]]:
-    """The rows of each cell, which `keys` tell apart, in their order."""
-    groups = defaultdict(list)
-    for row in rows:
-        groups[tuple(row[key] for key in keys)].append(row)
-    return groups
-
-
-def cell_of(group: Sequence[dict]) -> Cell:
-    """What the trials of a cell come to."""
-    good = [row for row in group if not row["diverged"]]
-
-    def mean(name: str) -> float:
-        return float(np.mean([row[name] for row in good])) if good else np.nan
-
-    held = mean("error_mean"), mean("error_std")
-    released = mean("released_error_mean"), mean("released_error_std")
-    return Cell(held, released, len(group), len(group) - len(good))
-
-
-def diverged(table: Mapping[Any, Cell]) -> str:
-    """How many trials of all cells did, in a sentence."""
-    lost = sum(cell.diverged for cell in table.values())
-    return f"{lost} of {sum(cell.trials for cell in table.values())} trials diverged."

@@ -11,8 +11,9 @@ from wrod import cost
 from wrod.bench import campaign, courses
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
 from wrod.files.ledger import Ledger
+from wrod.machine import machine_line
 from wrod.options import gathered, option, refuse_idle_options
-from wrod.telling import json_option
+from wrod.telling import json_option, tell
 
 
 @dataclass(frozen=True)
@@ -112,13 +113,31 @@ def command(asked: _Asked, common: campaign.Common) -> None:
             for key, laid in zip(part, deployments, strict=True)
         ]
 
-    spent = campaign.run(ledger, keys, simulate, device=device, batch=common.batch)
+    clock = time.perf_counter()
+    count, steps = campaign.run(ledger, keys, simulate, device=device, batch=common.batch)
+    seconds = time.perf_counter() - clock
     rows = ledger.of(keys)
     words, written = _reported(out, rows, curves, asked.trials, settings)
-    campaign.say(
-        spent, device=device, trials=len(rows), planned=planned, nodes=nodes, summary=words,
-        written=[*written, out / "trials.jsonl"], compiled=compiled,
-    )  # fmt: skip
+    figures = {
+        "machine": machine_line(device),
+        "device": device,
+        "trials": len(rows),
+        "simulated_now": count,
+        "compiling_seconds": compiled,
+        "planning_seconds": planned,
+        "simulation_seconds": seconds,
+        "rod_steps_per_second": steps / seconds if count else None,
+        "nodes": nodes,
+        "summary": words,
+        "written": [str(path) for path in (*written, out / "trials.jsonl")],
+    }
+    rate = f", {steps / seconds:.0f} rod steps per second" if count else ""
+    tell(
+        figures,
+        f"{count} trials in {seconds:.1f} s{rate} of {nodes} nodes on {device} "
+        f"(compiling {compiled:.1f} s, plans {planned:.1f} s)",
+        *words,
+    )
 
 
 def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str], list[Path]]:

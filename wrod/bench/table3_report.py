@@ -1,11 +1,12 @@
 """Results of the campaign, told as CSV, Markdown and a picture."""
 
+from collections import defaultdict
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from wrod import files
-from wrod.bench.campaign import Cell, cell_of, diverged, grouped
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
 from wrod.files import write_figure
 
@@ -13,9 +14,39 @@ SHORT = {"intuitive": "INT", "numeric": "OPT"}
 KEYS = ("rod", "substrate", "pattern", "method", "trial")
 
 
+@dataclass(frozen=True)
+class Cell:
+    """Means over the trials of one cell that did not diverge [cm]: of error and deviation along the
+    pattern, with the grip holding and let go; and how many trials there were."""
+
+    held: tuple[float, float]
+    released: tuple[float, float]
+    trials: int
+    diverged: int
+
+    @property
+    def lost(self) -> str:
+        """A remark on trials that diverged."""
+        return f" ({self.diverged} diverged)" if self.diverged else ""
+
+
 def cells(rows: list[dict]) -> dict[tuple, Cell]:
     """(rod, substrate, pattern, method) -> cell."""
-    return {key: cell_of(group) for key, group in grouped(rows, KEYS[:4]).items()}
+    groups = defaultdict(list)
+    for row in rows:
+        groups[tuple(row[key] for key in KEYS[:4])].append(row)
+    return {key: _cell(group) for key, group in groups.items()}
+
+
+def _cell(group: list[dict]) -> Cell:
+    good = [row for row in group if not row["diverged"]]
+
+    def mean(name: str) -> float:
+        return float(np.mean([row[name] for row in good])) if good else np.nan
+
+    held = mean("error_mean"), mean("error_std")
+    released = mean("released_error_mean"), mean("released_error_std")
+    return Cell(held, released, len(group), len(group) - len(good))
 
 
 def write_csv(path: Path, table: dict) -> Path:
@@ -87,7 +118,8 @@ def summary(table: dict) -> list[str]:
                 for k in sorted(worse, key=_order)
             ]
             lines.append(f"{text}: " + ", ".join(names) + ".")
-    return [*lines, diverged(table)]
+    lost, trials = (sum(getattr(c, n) for c in table.values()) for n in ("diverged", "trials"))
+    return [*lines, f"{lost} of {trials} trials diverged."]
 
 
 def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
