@@ -130,12 +130,9 @@ class Tangents:
         state, start, out = batch.state, dynamics.start, batch.derivatives
         rods, dofs = batch.rod_count, batch.dof_count
 
-        def launch(kernel, dim, inputs, outputs):
-            batch.launch(kernel, dim, inputs, outputs)
-
         pace, touching = dynamics.pace, [self.linear_contact, self.coupling]
         self.contact.linearise(accepted, state.dof, start.dof, touching)
-        launch(
+        batch.launch(
             kernels.elastic_forces,
             (rods, dofs),
             [dynamics.mass, dynamics.air_damping, batch.node_mass, batch.gravity, pace]
@@ -144,13 +141,13 @@ class Tangents:
             [self.elastic],
         )
         if self.contact.holds_roll:
-            launch(
+            batch.launch(
                 kernels.measure_winding,
                 (rods, batch.node_count - 1),
                 [pace, state.dof, start.tangent, state.tangent, self.elastic],
                 [self.winding, self.turning],
             )
-        launch(
+        batch.launch(
             banded_lu.assemble,
             (rods, dofs),
             [accepted, batch.free, self.matrix],
@@ -158,7 +155,7 @@ class Tangents:
         )
         batch.launch_lanes(banded_lu.factorise, [accepted], [self.factor])
         tangents = [self.now, self.older, self.velocity, self.velocity_older]
-        launch(
+        batch.launch(
             kernels.load_tangents,
             (rods, self.packs, batch.node_count),
             [dynamics.mass, dynamics.air_damping, self.friction_rate, self.stiffness_rate]
@@ -167,7 +164,7 @@ class Tangents:
             [self.x],
         )
         self._load_flow(dynamics)
-        launch(
+        batch.launch(
             kernels.load_grip,
             (rods, self.packs),
             [batch.rest_length, wp.float64(KEY_INTERVAL), self.path, self.begin, pace]
@@ -176,14 +173,14 @@ class Tangents:
         )
         self._solve([self.begin, pace, self.factor])
         self._measure_flow(dynamics)
-        launch(
+        batch.launch(
             kernels.carry_bristles,
             (rods, self.packs, batch.node_count),
             [self.contact.tangent_stiffness, self.friction_rate, self.begin, pace]
             + [*touching, self.winding, self.x, self.now],
             [self.bristle, self.turned],
         )
-        launch(
+        batch.launch(
             kernels.advance_tangents,
             (rods, self.packs, dofs),
             [self.begin, pace, self.x],

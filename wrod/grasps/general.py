@@ -18,7 +18,16 @@ import warp as wp
 from wrod.grasps.device_results import at_once, empty_results, result_bytes
 from wrod.grasps.growth import growth
 from wrod.grasps.inputs import GraspOptions
-from wrod.grasps.levels import Ladder, MeshLevel, make_scratch, make_task, per_rod, put
+from wrod.grasps.levels import (
+    WIDE_BLOCK,
+    Ladder,
+    MeshLevel,
+    launch,
+    make_scratch,
+    make_task,
+    per_rod,
+    put,
+)
 from wrod.grasps.mesh import ghost, node_weights, tolerance, two_sided_rest_lengths
 from wrod.kernels.grasping import general_rod, iteration, reading
 from wrod.kernels.linear.frontal import row_width, stencil_entries
@@ -212,45 +221,26 @@ class _GeneralLevel:
         wp.copy(level.curvature, fine.curvature)
         wp.copy(level.thrust, fine.thrust)
         wp.copy(level.family, fine.family)
-        wp.launch(
-            general_rod.interpolate_shape,
-            dim=n,
-            inputs=[fine.edges, fine.rest, fine.shape, edges, level.rest, level.curvature],
-            outputs=[level.shape],
-            device=device,
-        )
+        inputs = [fine.edges, fine.rest, fine.shape, edges, level.rest, level.curvature]
+        launch(device, general_rod.interpolate_shape, n, inputs, [level.shape], WIDE_BLOCK)
         level.solve(ladder.work, ladder.model, closure, ladder.scratch)
-        wp.launch(
-            general_rod.start_general,
-            dim=n,
-            inputs=[edges, level.shape, self.roll_array, level.family],
-            outputs=[self.state, self.family],
-            device=device,
-        )
+        inputs = [edges, level.shape, self.roll_array, level.family]
+        launch(device, general_rod.start_general, n, inputs, [self.state, self.family], WIDE_BLOCK)
         slots = 1 if wp.get_device(device).is_cpu else n
         read = level.read
         # The curvature is the target's by now.
         model = [self.model.stretch_ratio, level.curvature, self.weight]
+        task = make_task(model, level.tolerance, self.increment, closure)
         state = [self.state, level.curvature, level.thrust, self.family]
         ladder.work.launch(
             iteration.solve_general,
-            [
-                edges,
-                self.model,
-                make_task(model, level.tolerance, self.increment, closure),
-                make_scratch(slots, edges, device, 4),
-                *state,
-            ],
+            [edges, self.model, task, make_scratch(slots, edges, device, 4), *state],
             [read],
         )
         read.shape = self.state
-        wp.launch(
-            reading.read_general,
-            dim=n,
-            inputs=[edges, level.rest, self.model.natural_curvature, self.roll_array, self.state],
-            outputs=[read.rotation, read.lowest, read.turning, self.twist],
-            device=device,
-        )
+        inputs = [edges, level.rest, self.model.natural_curvature, self.roll_array, self.state]
+        outputs = [read.rotation, read.lowest, read.turning, self.twist]
+        launch(device, reading.read_general, n, inputs, outputs, WIDE_BLOCK)
 
     def eigenvalue(self) -> np.ndarray:
         """(n,) smallest eigenvalues of the rods as they are held."""
@@ -318,21 +308,8 @@ def _solve_chunk(
     for level in (coarse, fine):
         level.solve(ladder, closure)
     out = empty_results(n, edges, device, sensitivities=False, shapes=options.shapes)
-    wp.launch(
-        reading.judge,
-        dim=n,
-        inputs=[
-            coarse.straight.read,
-            fine.straight.read,
-            int(options.extrapolate),
-            edges,
-            fine.straight.rest,
-            inputs[1],
-            ladder.order,
-        ],
-        outputs=[out],
-        device=device,
-    )
+    levels = coarse.straight, fine.straight
+    ladder.judge(levels, inputs[1], n, extrapolate=options.extrapolate, out=out)
     names = ["position", "rotation", "force", "force_jacobian", "converged", "stable"]
     names += ["iterations", "residual", *(["shape", "arc_length"] if options.shapes else [])]
     result = {name: getattr(out, name).numpy() for name in names}

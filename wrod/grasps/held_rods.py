@@ -39,18 +39,12 @@ class RodsOverTable(RodBatch):
         out = super().evaluate(order=order, state=state, out=out, active=active, **options)
         if self.table_stiffness > 0.0:
             state = self.state if state is None else state
-            wp.launch(
+            active = self.every_rod if active is None else active
+            self.launch(
                 table,
-                dim=(self.rod_count, self.node_count - 2),
-                inputs=[
-                    self.rest_length,
-                    wp.float64(self.table_stiffness),
-                    self.every_rod if active is None else active,
-                    state.dof,
-                    order,
-                ],
-                outputs=[out.energy, out.gradient, out.hessian],
-                device=self.device,
+                (self.rod_count, self.node_count - 2),
+                [self.rest_length, wp.float64(self.table_stiffness), active, state.dof, order],
+                [out.energy, out.gradient, out.hessian],
             )
         return out
 
@@ -181,30 +175,14 @@ class HeldRods:
         batch, out = self.batch, self.batch.derivatives
         batch.evaluate(order=2, active=self.active)
         self._condense(out)
-        wp.launch(
+        batch.launch(
             holding.walk_grip,
-            dim=batch.rod_count,
-            inputs=[
-                self.start,
-                self.target,
-                self.tolerance,
-                wp.float64(_STEP_LIMIT),
-                _PATIENCE,
-                batch.free,
-                out.gradient,
-                self.system.x,
-                batch.state.dof,
-                self.progress,
-                self.dof_saved,
-                self.progress_saved,
-                self.increment,
-                self.waited,
-                self.iterations,
-                self.active,
-                self.status,
-                self.residual,
-            ],
-            device=self.device,
+            batch.rod_count,
+            [self.start, self.target, self.tolerance, wp.float64(_STEP_LIMIT), _PATIENCE]
+            + [batch.free, out.gradient, self.system.x]
+            + [batch.state.dof, self.progress, self.dof_saved, self.progress_saved]
+            + [self.increment, self.waited, self.iterations, self.active, self.status]
+            + [self.residual],
         )
         batch.transport_frames(batch.state, batch.state, self.active)
 
@@ -252,13 +230,9 @@ class HeldRods:
     def _condense(self, out) -> None:
         batch, system = self.batch, self.system
         system.eliminate(out.gradient, out.hessian, self.active)
-        wp.launch(
-            holding.condense_grip,
-            dim=batch.rod_count,
-            inputs=[self.active, batch.free, out.gradient, out.hessian, system.x],
-            outputs=[self.reaction, self.stiffness],
-            device=self.device,
-        )
+        inputs = [self.active, batch.free, out.gradient, out.hessian, system.x]
+        outputs = [self.reaction, self.stiffness]
+        batch.launch(holding.condense_grip, batch.rod_count, inputs, outputs)
 
     def negative_pivots(self) -> np.ndarray:
         """(n,) negative eigenvalues of the free Hessian where the rod stands."""

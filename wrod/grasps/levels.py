@@ -28,7 +28,7 @@ _LEADING_DONE = 1e-5
 # A ladder starts on this many edges or more.
 _COARSEST = 32
 # Threads a block on a GPU: few, so that finished blocks make room; and where they all take as long.
-_BLOCK, _WIDE_BLOCK = 32, 256
+_BLOCK, WIDE_BLOCK = 32, 256
 
 
 def per_rod(device: str, rods: int, *shape: int) -> wp.array:
@@ -80,7 +80,7 @@ def make_task(
 def _kernels(sensitivities: bool) -> list[tuple[wp.Kernel, int]]:
     """What grasps of straight rods need, and the blocks that it is launched in."""
     launches = [(iteration.solve_straight, _BLOCK), (mesh.refine, _BLOCK)]
-    launches += [(reading.judge, _WIDE_BLOCK)]
+    launches += [(reading.judge, WIDE_BLOCK)]
     launches += [(sensitivity.find_sensitivities, _BLOCK)] if sensitivities else []
     return launches
 
@@ -96,6 +96,11 @@ def compile_kernels(device: str, sensitivities: bool) -> None:
     compile_together(device, _kernels(sensitivities))
 
 
+def launch(device: str, kernel, rods: int, inputs: list, outputs, block: int = _BLOCK) -> None:
+    """Launch a kernel over the first rods."""
+    wp.launch(kernel, rods, inputs, outputs, device=device, block_dim=block)
+
+
 class WorkList:
     """Which rods to work on: their indices and how many there are, on the device."""
 
@@ -105,14 +110,7 @@ class WorkList:
         self.count = wp.zeros(1, dtype=wp.int32, device=device)
 
     def launch(self, kernel, inputs: list, outputs: Sequence = ()) -> None:
-        wp.launch(
-            kernel,
-            dim=self.rods,
-            inputs=[self.index, self.count, *inputs],
-            outputs=outputs,
-            device=self.device,
-            block_dim=_BLOCK,
-        )
+        launch(self.device, kernel, self.rods, [self.index, self.count, *inputs], outputs)
 
 
 class MeshLevel:
@@ -154,14 +152,8 @@ class MeshLevel:
 
     def lay(self, length: wp.array, stretch_ratio: wp.array, rods: int) -> None:
         """Lay the meshes of the first rods and forget what was solved on them."""
-        wp.launch(
-            mesh.lay_mesh,
-            dim=rods,
-            inputs=[length, stretch_ratio, self.edges],
-            outputs=[self.rest, self.rest_rate, self.tolerance],
-            device=self.device,
-            block_dim=_BLOCK,
-        )
+        inputs, outputs = [length, stretch_ratio, self.edges], [self.rest, self.rest_rate]
+        launch(self.device, mesh.lay_mesh, rods, inputs, [*outputs, self.tolerance])
         self.read.status.zero_()
 
     def hang(self, work: WorkList) -> None:
@@ -204,35 +196,16 @@ class MeshLevel:
     def read_out(self, rods: int) -> None:
         """Frames and judgements of the first rods."""
         level = self.read
-        wp.launch(
-            reading.read_straight,
-            dim=rods,
-            inputs=[self.edges, self.rest, level.shape],
-            outputs=[level.rotation, level.lowest, level.turning],
-            device=self.device,
-        )
+        inputs = [self.edges, self.rest, level.shape]
+        outputs = [level.rotation, level.lowest, level.turning]
+        launch(self.device, reading.read_straight, rods, inputs, outputs, WIDE_BLOCK)
 
     def find_sensitivities(self, rods: int, stretch_ratio: wp.array, scratch: Scratch) -> None:
         """Derivatives by the inputs of the first rods, after `read_out`."""
         level = self.read
-        wp.launch(
-            sensitivity.find_sensitivities,
-            dim=rods,
-            inputs=[
-                self.edges,
-                self.rest,
-                self.rest_rate,
-                stretch_ratio,
-                self.curvature,
-                level.shape,
-                level.rotation,
-                level.status,
-                scratch,
-            ],
-            outputs=[level.rates],
-            device=self.device,
-            block_dim=_BLOCK,
-        )
+        inputs = [self.edges, self.rest, self.rest_rate, stretch_ratio, self.curvature]
+        inputs += [level.shape, level.rotation, level.status, scratch]
+        launch(self.device, sensitivity.find_sensitivities, rods, inputs, [level.rates])
 
 
 class Ladder:
@@ -274,24 +247,12 @@ class Ladder:
 
     def expect(self, inputs: list[wp.array], first: int, rods: int, *, sort: bool) -> None:
         """Take rods of `inputs` from row `first` on, sorted by the work that they will be."""
-        wp.launch(
-            mesh.expect_work,
-            dim=rods,
-            inputs=[*inputs, first],
-            outputs=[self.key, self.order],
-            device=self.device,
-            block_dim=_BLOCK,
-        )
+        outputs = [self.key, self.order]
+        launch(self.device, mesh.expect_work, rods, [*inputs, first], outputs)
         if sort:
             wp.utils.radix_sort_pairs(self.key, self.order, rods)
-        wp.launch(
-            mesh.take_inputs,
-            dim=rods,
-            inputs=[*inputs, self.order, rods],
-            outputs=[self.length, *self.model, self.work.index, self.work.count],
-            device=self.device,
-            block_dim=_BLOCK,
-        )
+        outputs = [self.length, *self.model, self.work.index, self.work.count]
+        launch(self.device, mesh.take_inputs, rods, [*inputs, self.order, rods], outputs)
 
     def climb(self, rods: int, closure: int) -> None:
         """Solve the first rods on every mesh."""
@@ -310,14 +271,8 @@ class Ladder:
         coarse, fine = levels[-2:]
         # Too coarse a mesh to start from: start on the finest and come back from there.
         lost.count.zero_()
-        wp.launch(
-            mesh.list_unsolved,
-            dim=rods,
-            inputs=[coarse.read.status, fine.read.status, CONVERGED],
-            outputs=[lost.index, lost.count],
-            device=self.device,
-            block_dim=_BLOCK,
-        )
+        inputs = [coarse.read.status, fine.read.status, CONVERGED]
+        launch(self.device, mesh.list_unsolved, rods, inputs, [lost.index, lost.count])
         fine.hang(lost)
         fine.solve(lost, model, closure, scratch)
         coarse.coarsen(lost, fine)
@@ -341,18 +296,12 @@ class Ladder:
             level.read_out(rods)
             if self.sensitivities:
                 level.find_sensitivities(rods, self.model[0], self.scratch)
-        wp.launch(
-            reading.judge,
-            dim=rods,
-            inputs=[
-                coarse.read,
-                fine.read,
-                int(extrapolate),
-                fine.edges,
-                fine.rest,
-                inputs[1],
-                self.order,
-            ],
-            outputs=[out],
-            device=self.device,
-        )
+        self.judge((coarse, fine), inputs[1], rods, extrapolate=extrapolate, out=out)
+
+    def judge(
+        self, levels, curvature: wp.array, rods: int, *, extrapolate: bool, out: reading.Results
+    ) -> None:
+        """Read grasps off the last two meshes, in the order of `curvature`'s rods."""
+        coarse, fine = levels
+        inputs = [coarse.read, fine.read, int(extrapolate), fine.edges, fine.rest, curvature]
+        launch(self.device, reading.judge, rods, [*inputs, self.order], [out], WIDE_BLOCK)
