@@ -138,7 +138,7 @@ class BatchArrays(OnDevice):
         shape = (self.rod_count, self.node_count)
         number = self._array("inelastic", number, (*shape, 4), wp.vec4d)
         node = wp.zeros(shape, dtype=Inelastic, device=self.device)
-        wp.launch(set_inelastic_laws, shape, [number], [node], device=self.device)
+        self.launch(set_inelastic_laws, shape, [number], [node])
         self.add_energy(inelastic_energy, node)
         return node
 
@@ -190,21 +190,10 @@ class BatchArrays(OnDevice):
             director = self._array("director", director, (rods, shape, 3), wp.vec3d)
         else:
             director = wp.empty(shape, dtype=wp.vec3d, device=device)
-        wp.launch(
-            set_configuration,
-            dim=(rods, nodes),
-            inputs=[position, angle],
-            outputs=[state.dof],
-            device=device,
-        )
+        self.launch(set_configuration, (rods, nodes), [position, angle], [state.dof])
         problem = wp.zeros(rods, dtype=wp.int32, device=device)
-        wp.launch(
-            set_reference_frames,
-            dim=rods,
-            inputs=[state.dof, director, source],
-            outputs=[state.tangent, state.director, problem],
-            device=device,
-        )
+        outputs = [state.tangent, state.director, problem]
+        self.launch(set_reference_frames, rods, [state.dof, director, source], outputs)
         problem = problem.numpy()
         if problem.any():
             r = int(np.flatnonzero(problem)[0])
@@ -264,9 +253,11 @@ class BatchArrays(OnDevice):
             raise RodError(f"free has shape {np.shape(free)}; give {shape}") from None
         self.free.assign(free.astype(np.int32))
 
-    def launch(self, kernel: wp.Kernel, dim, inputs: list, outputs: Sequence = ()) -> None:
-        """Launch a kernel on the batch's device."""
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+    def launch(
+        self, kernel: wp.Kernel, dim, inputs: list, outputs: Sequence = (), block: int = 256
+    ) -> None:
+        """Launch a kernel on the batch's device, there so many threads a block."""
+        wp.launch(kernel, dim, inputs, outputs, device=self.device, block_dim=block)
 
     def _launch_twist(self, source: RodState, target: RodState, active: wp.array) -> None:
         self.launch(

@@ -251,14 +251,8 @@ class RodBatch(BatchArrays):
         terms = [(softened_elasticity if self.softens else elasticity, model or self.elastic_model)]
         terms += [(softened_elasticity, layer) for layer in self.layers]
         for i, (kernel, numbers) in enumerate(terms):
-            wp.launch(
-                kernel,
-                dim=(self.rod_count, count),
-                inputs=[numbers, active, *shape, order, owned, i == 0],
-                outputs=results,
-                device=self.device,
-                block_dim=width,
-            )
+            dim, inputs = (self.rod_count, count), [numbers, active, *shape, order, owned, i == 0]
+            self.launch(kernel, dim, inputs, results, width)
         for kernel, number in self.energies if energies is None else energies:
             launch(kernel, nodes - 2, [self.elastic_model, number, active, *shape, order])
         launch(
@@ -274,14 +268,8 @@ class RodBatch(BatchArrays):
     ) -> None:
         """Launch a kernel that walks along the rods, over (rod, lane); see `kernels.lanes`."""
         count = lanes(self.device, CROWD if self.node_count > LONG else WARP)
-        wp.launch(
-            kernel,
-            dim=(self.rod_count if rods is None else rods, count),
-            inputs=inputs,
-            outputs=outputs,
-            device=self.device,
-            block_dim=count,
-        )
+        rods = self.rod_count if rods is None else rods
+        self.launch(kernel, (rods, count), inputs, outputs, count)
 
     def positions(self) -> np.ndarray:
         """(rod, node, 3) node positions."""

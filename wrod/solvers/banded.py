@@ -60,14 +60,10 @@ class BandedSystem:
         Nothing else can be solved after that."""
         count = lanes(self.batch.device, two_warps.ENDS)
         self._clear_pivots(active)
-        wp.launch(
-            banded_ends.solve,
-            dim=(self.batch.rod_count, len(self.segment), count),
-            inputs=[self.segment, active, self.batch.free, hessian, gradient, self.shift],
-            outputs=[self.factor, self.x, self.negative_pivots],
-            device=self.batch.device,
-            block_dim=count,
-        )
+        dim = (self.batch.rod_count, len(self.segment), count)
+        inputs = [self.segment, active, self.batch.free, hessian, gradient, self.shift]
+        outputs = [self.factor, self.x, self.negative_pivots]
+        self.batch.launch(banded_ends.solve, dim, inputs, outputs, count)
 
     def _factorise_and_solve(self, gradient, hessian, active) -> None:
         self.factorise(hessian, active)
@@ -77,14 +73,8 @@ class BandedSystem:
     def _clear_pivots(self, active: wp.array) -> None:
         """Segments of a row add theirs up."""
         if len(self.segment) > 1:
-            wp.launch(
-                banded_lanes.clear_pivots,
-                dim=self.batch.rod_count,
-                inputs=[active],
-                outputs=[self.negative_pivots],
-                device=self.batch.device,
-                block_dim=WARP,
-            )
+            rods, outputs = self.batch.rod_count, [self.negative_pivots]
+            self.batch.launch(banded_lanes.clear_pivots, rods, [active], outputs, WARP)
 
     def factorise(self, hessian: wp.array, active: wp.array) -> None:
         """Factorise the free blocks of `hessian` (rod, dof, 11), which is contiguous."""
@@ -111,16 +101,11 @@ class BandedSystem:
 
     def _launch(self, kernels, dim: tuple, inputs: list, outputs: list) -> None:
         """Of the two kernels the first takes a row a thread, the second a rod a warp."""
-        device = self.batch.device
-        count = lanes(device)
-        wp.launch(
-            kernels[self._on_gpu],
-            dim=(*dim, len(self.segment), count) if self._on_gpu else dim,
-            inputs=[self.segment, *inputs] if self._on_gpu else inputs,
-            outputs=outputs,
-            device=device,
-            block_dim=count,
-        )
+        count = lanes(self.batch.device)
+        kernel = kernels[self._on_gpu]
+        if self._on_gpu:
+            dim, inputs = (*dim, len(self.segment), count), [self.segment, *inputs]
+        self.batch.launch(kernel, dim, inputs, outputs, count)
 
 
 class BorderedSystem(BandedSystem):

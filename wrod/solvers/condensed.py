@@ -56,16 +56,11 @@ class CondensedSystem(PairedSystem):
 
     def _spread(self, kernel, dim: tuple, inputs: list, outputs: list, block: int = 0) -> None:
         """Launch over (row, *dim), with the lanes of a block as last dimension where there are."""
-        device = self.batch.device
-        count = lanes(device, block or WARP)
-        wp.launch(
-            kernel,
-            dim=(self.batch.rod_count, *dim, count) if block else (self.batch.rod_count, *dim),
-            inputs=inputs,
-            outputs=outputs,
-            device=device,
-            block_dim=count if block else 256,
-        )
+        dim, count = (self.batch.rod_count, *dim), lanes(self.batch.device, block or WARP)
+        if block:
+            self.batch.launch(kernel, (*dim, count), inputs, outputs, count)
+        else:
+            self.batch.launch(kernel, dim, inputs, outputs)
 
     @property
     def _touched(self) -> list:

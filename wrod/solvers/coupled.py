@@ -70,14 +70,8 @@ class PairedSystem(BandedSystem):
         """Launch a kernel whose lanes work on a rod together, or on each of its blocks."""
         batch = self.batch
         count = lanes(batch.device, TEAM)
-        wp.launch(
-            kernel,
-            (batch.rod_count, count) if blocks is None else (batch.rod_count, blocks, count),
-            inputs=inputs,
-            outputs=outputs,
-            device=batch.device,
-            block_dim=count,
-        )
+        dim = (batch.rod_count, count) if blocks is None else (batch.rod_count, blocks, count)
+        batch.launch(kernel, dim, inputs, outputs, count)
 
     def multiply_pairs(self, active: wp.array, vector: wp.array, product: wp.array) -> None:
         """Add the touching pairs' part of matrix times `vector` (rod, j, dof) to `product`."""
@@ -169,13 +163,12 @@ class CoupledSystem(PairedSystem):
             [self._skyline],
         )
         sharing = 5 if self._on_gpu else 1
-        wp.launch(
+        batch.launch(
             coupling.fill_band,
-            dim=(batch.rod_count, batch.node_count, sharing),
-            inputs=[self._skyline, batch.free, hessian, self.shift, sharing],
-            outputs=[self._block],
-            device=batch.device,
-            block_dim=lanes(batch.device, TEAM),
+            (batch.rod_count, batch.node_count, sharing),
+            [self._skyline, batch.free, hessian, self.shift, sharing],
+            [self._block],
+            lanes(batch.device, TEAM),
         )
         teams = _TEAMS if self._on_gpu else 1
         inputs = [contact.pieces, self._skyline, batch.free, *self._pairs, teams]

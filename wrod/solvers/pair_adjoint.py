@@ -136,14 +136,13 @@ class PairAdjoint:
     def factorise(self, matrix: Any) -> None:
         """Of the rows that touch: `matrix` (`StepMatrix`) with the pairs."""
         batch, team = self._batch, lanes(self._batch.device, TEAM)
-        wp.launch(
+        batch.launch(
             skyline_order.renumber,
             (batch.rod_count, team),
             [self._changed, self._pieces.kind, self._count, self._pair]
             + [self._capacity, batch.node_count, *self._scratch],
             [self._skyline],
-            device=batch.device,
-            block_dim=team,
+            team,
         )
         skyline, blocks = self._skyline, [self._lower, self._upper]
         shape, inputs = (batch.rod_count, batch.node_count), [skyline, batch.free, matrix]

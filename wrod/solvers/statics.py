@@ -229,14 +229,8 @@ class EquilibriumSolver:
         system.factorise(out.hessian, self.active)
         batch.launch_lanes(
             newton.measure_residual,
-            [
-                batch.free,
-                self.force_scale,
-                self.length_scale,
-                self.tolerance,
-                out.gradient,
-                self.active,
-            ],
+            [batch.free, self.force_scale, self.length_scale, self.tolerance]
+            + [out.gradient, self.active],
             [self.residual, self.converged],
         )
         self._ask(self.active, max_iterations, self._rounds, self._goes_on)
@@ -279,14 +273,8 @@ class EquilibriumSolver:
         batch, out, system = self.batch, self.batch.derivatives, self.system
         batch.launch_lanes(
             newton.start_line_search,
-            [
-                wp.float64(_STEP_LIMIT),
-                self.active,
-                batch.free,
-                batch.state.dof,
-                out.gradient,
-                system.x,
-            ],
+            [wp.float64(_STEP_LIMIT), self.active, batch.free]
+            + [batch.state.dof, out.gradient, system.x],
             [self.slope, self.fraction, self.searching],
         )
         if search:
@@ -323,19 +311,9 @@ class EquilibriumSolver:
         self.batch.launch(
             newton.judge_trial_step,
             self.batch.rod_count,
-            [
-                int(search),
-                wp.float64(_SMALLEST_FRACTION),
-                self.force_scale,
-                self.length_scale,
-                self.shift_unit,
-                self.batch.derivatives.energy,
-                self.trial_derivatives.energy,
-                self.slope,
-                self.fraction,
-                self.searching,
-                self.system.shift,
-            ],
+            [int(search), wp.float64(_SMALLEST_FRACTION), self.force_scale, self.length_scale]
+            + [self.shift_unit, self.batch.derivatives.energy, self.trial_derivatives.energy]
+            + [self.slope, self.fraction, self.searching, self.system.shift],
         )
 
 

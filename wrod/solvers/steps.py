@@ -102,15 +102,7 @@ class Steps(OnDevice):
         return node_positions(self.velocity.numpy())
 
     def _per_rod(self, kernel, inputs, outputs=()) -> None:
-        batch = self.batch
-        wp.launch(
-            kernel,
-            batch.rod_count,
-            inputs=inputs,
-            outputs=outputs,
-            device=batch.device,
-            block_dim=WARP,
-        )
+        self.batch.launch(kernel, self.batch.rod_count, inputs, outputs, WARP)
 
     def _per_dof(self, kernel, inputs, outputs=()) -> None:
         batch = self.batch
