@@ -220,15 +220,12 @@ class Tangents:
 
     def _solve(self, inputs: list) -> None:
         """Of the two kernels a CPU takes the first, one thread a pack, a GPU the second."""
-        device = self.batch.device
-        count = lanes(device)
+        count = lanes(self.batch.device)
         dim: tuple[int, ...] = (self.batch.rod_count, self.packs)
         kernel = kernels.solve_tangents
         if count > 1:
             dim, kernel = (*dim, count), kernels.solve_tangents_lanes
-        wp.launch(
-            kernel, dim=dim, inputs=inputs, outputs=[self.x], device=device, block_dim=count
-        )  # fmt: skip
+        self.batch.launch(kernel, dim, inputs, [self.x], count)
 
     def values(self) -> np.ndarray:
         """(rod, column, node, 3) derivatives of the nodes now."""

@@ -207,13 +207,9 @@ class RodGroup:
         self._take_up(state_in)
         if self.body_contact is not None and self.body_contact.read(contacts, state_in.body_q):
             dynamics.forget_recording()
-        wp.launch(
-            carrying.note_held,
-            dim=self.hold.shape,
-            inputs=[self.hold, batch.state.dof, batch.state.tangent, batch.state.director],
-            outputs=[self.held_position, self.held_rotation],
-            device=self.device,
-        )
+        inputs = [self.hold, batch.state.dof, batch.state.tangent, batch.state.director]
+        outputs = [self.held_position, self.held_rotation]
+        batch.launch(carrying.note_held, self.hold.shape, inputs, outputs)
         if self.shape_contact is not None:
             self.shape_contact.count_near(batch.state.dof)
         dynamics.advance_by(duration, step)
@@ -237,22 +233,12 @@ class RodGroup:
         state, shape = batch.state, self.place.shape
         self.changed.zero_()
         source = [der.node_q, der.node_qd, der.edge_director, der.edge_spin]
-        wp.launch(
-            exchange.find_changes,
-            dim=shape,
-            inputs=[self.place, *source, state.dof, dynamics.velocity, self.written_director],
-            outputs=[self.changed],
-            device=self.device,
-        )
+        inputs = [self.place, *source, state.dof, dynamics.velocity, self.written_director]
+        batch.launch(exchange.find_changes, shape, inputs, [self.changed])
         if self.bodies is not None:
             self.bodies.find_changes(state_in.body_q, state_in.body_qd, self.changed)
-        wp.launch(
-            exchange.read_state,
-            dim=shape,
-            inputs=[self.place, batch.rest_length, self.changed, *source],
-            outputs=[state.dof, dynamics.velocity],
-            device=self.device,
-        )
+        inputs = [self.place, batch.rest_length, self.changed, *source]
+        batch.launch(exchange.read_state, shape, inputs, [state.dof, dynamics.velocity])
         self._read_frames(der)
         if self.bodies is not None:
             self.bodies.read(
@@ -268,13 +254,9 @@ class RodGroup:
 
     def _read_frames(self, der) -> None:
         state = self.batch.state
-        wp.launch(
-            exchange.read_frames,
-            dim=self.place.shape,
-            inputs=[self.place, self.changed, der.edge_director, state.dof],
-            outputs=[state.tangent, state.director, state.reference_twist],
-            device=self.device,
-        )
+        inputs = [self.place, self.changed, der.edge_director, state.dof]
+        outputs = [state.tangent, state.director, state.reference_twist]
+        self.batch.launch(exchange.read_frames, self.place.shape, inputs, outputs)
         self.batch.find_reference_twist(self.changed)
 
     def reset(self, state: State, initial: dict[str, wp.array], chosen: np.ndarray) -> None:
@@ -302,37 +284,17 @@ class RodGroup:
         """Give out what rods and their bodies do now, and put the rods' capsules there."""
         batch, dynamics, der = self.batch, self.dynamics, state_out.der
         state = batch.state
-        wp.launch(
+        contacts = self.contact, self.rod_contact
+        forces = [self.no_force if one is None else one.force for one in contacts]
+        batch.launch(
             exchange.write_state,
-            dim=self.place.shape,
-            inputs=[
-                self.place,
-                state.dof,
-                dynamics.velocity,
-                state.tangent,
-                state.director,
-                *(
-                    self.no_force if contact is None else contact.force
-                    for contact in (self.contact, self.rod_contact)
-                ),
-            ],
-            outputs=[
-                der.node_q,
-                der.node_qd,
-                der.node_contact_f,
-                der.edge_director,
-                der.edge_spin,
-                self.written_director,
-            ],
-            device=self.device,
+            self.place.shape,
+            [self.place, state.dof, dynamics.velocity, state.tangent, state.director, *forces],
+            [der.node_q, der.node_qd, der.node_contact_f, der.edge_director, der.edge_spin]
+            + [self.written_director],
         )
-        wp.launch(
-            exchange.place_capsules,
-            dim=self.capsules.shape,
-            inputs=[self.place, self.capsules, der.node_q, der.edge_director],
-            outputs=[state_out.body_q],
-            device=self.device,
-        )
+        inputs = [self.place, self.capsules, der.node_q, der.edge_director]
+        batch.launch(exchange.place_capsules, self.capsules.shape, inputs, [state_out.body_q])
         if self.bodies is not None:
             self.bodies.write(state_out.body_q, state_out.body_qd)
 
@@ -340,14 +302,9 @@ class RodGroup:
         """Add what rods do to bodies that others move: (body,) force, and torque about the centre
         of mass."""
         batch = self.batch
-        wp.launch(
-            carrying.measure_loads,
-            dim=self.hold.shape,
-            inputs=[self.hold, self.model.body_com, batch.state.dof, batch.state.tangent]
-            + [self.dynamics.reaction, self.body_before],
-            outputs=[force, torque],
-            device=self.device,
-        )
+        inputs = [self.hold, self.model.body_com, batch.state.dof, batch.state.tangent]
+        inputs += [self.dynamics.reaction, self.body_before]
+        batch.launch(carrying.measure_loads, self.hold.shape, inputs, [force, torque])
         if self.shape_contact is not None:
             self.shape_contact.add_loads(self.model.body_com, self.body_before, force, torque)
         if self.body_contact is not None:
@@ -359,19 +316,7 @@ class RodGroup:
         for contact in (self.body_contact, self.shape_contact):
             if contact is not None:
                 contact.follow(self.duration, times, [self.body_before, self.body_q])
-        wp.launch(
-            carrying.carry_held,
-            dim=self.hold.shape,
-            inputs=[
-                self.hold,
-                wp.float64(self.duration),
-                *times,
-                self.body_q,
-                self.held_position,
-                self.held_rotation,
-                start.tangent,
-                start.director,
-            ],
-            outputs=[self.batch.state.dof],
-            device=self.device,
-        )
+        inputs = [self.hold, wp.float64(self.duration), *times, self.body_q]
+        inputs += [self.held_position, self.held_rotation, start.tangent, start.director]
+        batch = self.batch
+        batch.launch(carrying.carry_held, self.hold.shape, inputs, [batch.state.dof])
