@@ -160,20 +160,8 @@ class GripMotion:
         batch.launch(
             kernels.prescribe,
             batch.rod_count,
-            [
-                wp.float64(KEY_INTERVAL),
-                self.position,
-                self.rotation,
-                batch.rest_length,
-                self.held_nodes,
-                self.release_time,
-                self.let_go_time,
-                running,
-                time,
-                step,
-                start.dof,
-                start.tangent,
-                start.director,
-            ],
+            [wp.float64(KEY_INTERVAL), self.position, self.rotation, batch.rest_length]
+            + [self.held_nodes, self.release_time, self.let_go_time, running, time, step]
+            + [start.dof, start.tangent, start.director],
             [batch.free, batch.state.dof],
         )

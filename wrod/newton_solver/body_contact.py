@@ -76,16 +76,8 @@ class BodyContact:
         wp.copy(self._old_bristle, self._bristle)
         self._launch(
             meetings.read_contacts,
-            [
-                self._owned,
-                self.bodies.body,
-                detected,
-                capacity,
-                self.bodies.now,
-                body_q,
-                self._old,
-                self._old_bristle,
-            ],
+            [self._owned, self.bodies.body, detected, capacity, self.bodies.now, body_q]
+            + [self._old, self._old_bristle],
             [self._meeting, self._bristle, self._source],
         )
         return grows

@@ -120,36 +120,16 @@ class Bodies:
         self.batch.launch(
             kernels.body_balance,
             self.body.shape,
-            [
-                self.body,
-                self.hold,
-                self.batch.gravity,
-                self.force,
-                self.torque,
-                steps.active,
-                steps.converged,
-                steps.span,
-                steps.coefficient,
-                self.batch.state.dof,
-                self.batch.derivatives.gradient,
-                self.before,
-                self.older,
-                self.push,
-            ],
+            [self.body, self.hold, self.batch.gravity, self.force, self.torque, steps.active]
+            + [steps.converged, steps.span, steps.coefficient, self.batch.state.dof]
+            + [self.batch.derivatives.gradient, self.before, self.older, self.push],
             [self.now, self._residual, self._matrix],
         )
         self.batch.launch(
             kernels.refuse_unbalanced,
             self.batch.rod_count,
-            [
-                self.body,
-                self.batch.gravity,
-                steps.force_scale,
-                steps.length_scale,
-                steps.step_tolerance,
-                self._residual,
-                self.push,
-            ],
+            [self.body, self.batch.gravity, steps.force_scale, steps.length_scale]
+            + [steps.step_tolerance, self._residual, self.push],
             [steps.converged, steps.active],
         )
 

@@ -127,14 +127,8 @@ class NewtonSteps(Steps):
             contact.add(self.active, dof, start.dof)
         batch.launch_lanes(
             newton.measure_residual,
-            [
-                batch.free,
-                self.force_scale,
-                self.length_scale,
-                self.step_tolerance,
-                out.gradient,
-                self.active,
-            ],
+            [batch.free, self.force_scale, self.length_scale, self.step_tolerance]
+            + [out.gradient, self.active],
             [self.residual, self.converged],
         )
         if self.bodies is not None:
@@ -201,13 +195,8 @@ class NewtonSteps(Steps):
             )
         self._per_dof(
             kernels.shift_history,
-            [
-                self.pace,
-                batch.derivatives.gradient,
-                batch.free if self.bodies is None else self.bodies.carried,
-                dof,
-                start.dof,
-            ],
+            [self.pace, batch.derivatives.gradient]
+            + [batch.free if self.bodies is None else self.bodies.carried, dof, start.dof],
             [self.dof_older, self.velocity, self.velocity_older, self.reaction],
         )
         if self.bodies is not None and SCHEMES[self._scheme] == "midpoint":

@@ -251,18 +251,8 @@ class RodContact(OnDevice):
         )
         self.batch.launch_lanes(
             touching.refuse_large_steps,
-            [
-                self.edge_radius,
-                self.reach,
-                dof,
-                dof_before,
-                self.partner_count,
-                self.partner,
-                self.depth,
-                self.overflow,
-                self._renewed,
-                self._renewals,
-            ],
+            [self.edge_radius, self.reach, dof, dof_before, self.partner_count, self.partner]
+            + [self.depth, self.overflow, self._renewed, self._renewals],
             [converged, active],
         )
 

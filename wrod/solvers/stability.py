@@ -96,12 +96,8 @@ def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarra
     batch.launch(
         shift_by_mass,
         mass.shape,
-        [
-            batch.every_rod,
-            hessian,
-            wp.array(mass, dtype=wp.float64, device=batch.device),
-            wp.array(-neutral * unit, dtype=wp.float64, device=batch.device),
-        ],
+        [batch.every_rod, hessian, wp.array(mass, dtype=wp.float64, device=batch.device)]
+        + [wp.array(-neutral * unit, dtype=wp.float64, device=batch.device)],
         [shifted],
     )
     system = BandedSystem(batch)
