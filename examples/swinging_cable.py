@@ -16,9 +16,7 @@ def main(out: str | Path = "out/examples", seconds: float = 2.0, edges: int = 20
     for damping, color in ((0.0, "#0b5fa5"), (0.02, "#d9822b")):
         batch = wrod.RodBatch.of(cable, s, straight[None])
         wrod.prescribe(batch, pinned_nodes=(0,), clamped_angles=(0,))
-        moving = wrod.Dynamics(
-            batch, radius=cable.radius, internal_damping=damping, keeps_recording=True
-        )
+        moving = wrod.Dynamics(batch, radius=cable.radius, internal_damping=damping)
         times = np.linspace(0.0, seconds, 80)
         x = []
         for time in times:

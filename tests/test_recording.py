@@ -75,6 +75,41 @@ def test_long_ways_are_watched(device):
     assert (again.steps == progress.steps).all()
 
 
+def test_motion_of_a_rod_that_changes():
+    """Of a rod that touches nothing rounds are kept from call to call, and what a caller sets in
+    between takes part, to the last bit."""
+
+    def swinging(keeps):
+        x = np.linspace(0.0, 0.07, 15)
+        batch = rods(np.column_stack([x, 0.02 * np.sin(20.0 * x), 0.0 * x])[None])
+        prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
+        return Dynamics(batch, radius=RADIUS, keeps_recording=keeps)
+
+    def gravity(one):
+        one.batch.gravity = wp.array([wp.vec3d(0.0, 9.0, 0.0)], dtype=wp.vec3d, device="cpu")
+
+    changes = [
+        lambda one: None,
+        lambda one: one.batch.bending_stiffness.assign(0.5 * one.batch.bending_stiffness.numpy()),
+        gravity,
+        lambda one: one.batch.set_softening([1e-4, 0.2]),
+        lambda one: one.set_drag([0.001, 0.0]),
+        lambda one: setattr(one, "tolerance", 1e-11),
+        lambda one: setattr(one, "max_iterations", 3),
+    ]
+    chosen, kept, ends = [swinging(None), swinging(False)], [], []
+    for k, change in enumerate(changes):
+        before = chosen[0]._recording
+        for one in chosen:
+            change(one)
+            progress = one.advance(0.04 * (k + 1), 0.01)
+        kept.append(before is not None and chosen[0]._recording is before)
+        ends.append((progress.steps[0], *(one.batch.positions() for one in chosen)))
+        assert np.array_equal(*ends[-1][1:])
+    assert kept == [False, True, False, False, False, False, False]
+    assert ends[-1][0] - ends[-2][0] > 4 and chosen[1]._recording is None
+
+
 def test_equilibria_of_a_rod_that_changes():
     """A solver that goes on with what it recorded finds what a new one does, to the last bit: of
     other stiffness and load, another law, and another energy."""

@@ -69,7 +69,7 @@ def vibrate(dynamics, periods, samples, steps_per_sample=1):
 
 def test_frequency_of_a_cantilever_and_no_gain_of_energy():
     """omega = 1.8751^2 sqrt(EI / (rho A L^4)) for small vibrations."""
-    dynamics = Dynamics(cantilever(), scheme="bdf2", radius=0.01, keeps_recording=True)
+    dynamics = Dynamics(cantilever(), scheme="bdf2", radius=0.01)
     first = dynamics.energy()[0]
     t, tips, energies = vibrate(dynamics, 2.0, 60)
     z = tips[:, 0]
@@ -83,9 +83,7 @@ def test_frequency_of_a_cantilever_and_no_gain_of_energy():
 
 
 def test_euler_never_gains_energy():
-    dynamics = Dynamics(
-        cantilever(21, amplitude=0.3), scheme="euler", radius=0.01, keeps_recording=True
-    )
+    dynamics = Dynamics(cantilever(21, amplitude=0.3), scheme="euler", radius=0.01)
     first = dynamics.energy()[0]
     _, _, energies = vibrate(dynamics, 1.0, 30)
     assert (np.diff(np.concatenate([[first], energies[:, 0]])) <= 1e-9 * first).all()
@@ -98,7 +96,7 @@ def test_midpoint_keeps_period_and_energy_of_a_swing():
     batch.stretching_stiffness.fill_(1e3)
     prescribe(batch, pinned_nodes=(0,))
     assert solve_equilibria(batch).converged.all()
-    dynamics = Dynamics(batch, scheme="midpoint", radius=0.01, tolerance=1e-9, keeps_recording=True)
+    dynamics = Dynamics(batch, scheme="midpoint", radius=0.01, tolerance=1e-9)
     matrix = full_hessian(batch.evaluate(order=2).hessian.numpy()[0])
     node = np.arange(4, batch.dof_count)
     node = node[node % 4 != 3]
@@ -137,7 +135,6 @@ def test_swing_of_a_stiff_pendulum(inertia, off):
         radius=0.01,
         inertia=inertia,
         tolerance=1e-10,
-        keeps_recording=True,
     )
     length = np.linalg.norm(batch.positions()[0, -1] - batch.positions()[0, 0])
     arm = batch.positions()[0] - batch.positions()[0, 0]
@@ -168,7 +165,6 @@ def test_order_in_the_time_step(scheme, order):
             scheme=scheme,
             radius=0.01,
             tolerance=1e-9,
-            keeps_recording=True,
         )
         dynamics.advance(0.3, 0.3 / n)
         tips.append(dynamics.batch.positions()[0, -1].copy())
@@ -180,9 +176,7 @@ def test_frequency_converges_with_the_mesh():
     """The tip after a quarter of a period, against a fine mesh: second order."""
     tips = []
     for nodes in (11, 21, 41):
-        dynamics = Dynamics(
-            cantilever(nodes), scheme="bdf2", radius=0.01, tolerance=1e-9, keeps_recording=True
-        )
+        dynamics = Dynamics(cantilever(nodes), scheme="bdf2", radius=0.01, tolerance=1e-9)
         dynamics.advance(np.pi / 2 / ROOT**2, 0.005)
         tips.append(dynamics.batch.positions()[0, -1, 2])
     assert np.log2(abs(tips[0] - tips[1]) / abs(tips[1] - tips[2])) > 1.7
@@ -213,7 +207,7 @@ def test_momentum_of_a_free_rod_is_conserved():
     drifts = []
     for step in (0.01, 0.005):
         batch, velocity = free_rod()
-        dynamics = Dynamics(batch, scheme="bdf2", radius=1e-3, tolerance=1e-9, keeps_recording=True)
+        dynamics = Dynamics(batch, scheme="bdf2", radius=1e-3, tolerance=1e-9)
         dynamics.set_velocity(velocity)
         linear, angular = momenta(dynamics)
         assert not dynamics.advance(1.0, step).diverged.any()
@@ -227,7 +221,7 @@ def test_momentum_of_a_free_rod_is_conserved():
 def test_free_fall_with_air():
     """v = (g / c) (1 - exp(-c t)) for drag c m v."""
     batch, _ = free_rod(gravity=(0.0, 0.0, -9.81))
-    dynamics = Dynamics(batch, scheme="bdf2", radius=0.05, air_damping=2.0, keeps_recording=True)
+    dynamics = Dynamics(batch, scheme="bdf2", radius=0.05, air_damping=2.0)
     dynamics.advance(1.0, 0.005)
     mass = batch.node_mass.numpy()[0]
     mean = (mass[:, None] * dynamics.velocities()[0]).sum(axis=0) / mass.sum()
@@ -248,7 +242,7 @@ def test_free_fall_with_quadratic_drag():
     batch = RodBatch.of(rod, s, line)
     drag = quadratic_drag(rod, s)
     assert drag.sum() == pytest.approx(q * 0.02 * length)
-    dynamics = Dynamics(batch, scheme="bdf2", radius=0.002, keeps_recording=True)
+    dynamics = Dynamics(batch, scheme="bdf2", radius=0.002)
     dynamics.set_drag(drag)
     dynamics.advance(0.4, 0.002)
     terminal = np.sqrt(g / q)
@@ -263,9 +257,7 @@ def test_internal_damping_of_a_cantilever(scheme):
     b, omega = 0.01, ROOT**2
     energies = []
     for damping in (b, 0.0):
-        dynamics = Dynamics(
-            cantilever(), scheme=scheme, radius=0.01, internal_damping=damping, keeps_recording=True
-        )
+        dynamics = Dynamics(cantilever(), scheme=scheme, radius=0.01, internal_damping=damping)
         time, _, energy = vibrate(dynamics, 2.0, 30, 4)
         energies.append(energy[:, 0])
     rate = np.polyfit(time, np.log(energies[1] / energies[0]), 1)[0]
@@ -307,7 +299,6 @@ def test_internal_damping_lets_a_rod_spin(scheme):
             radius=0.01,
             internal_damping=damping,
             tolerance=1e-9,
-            keeps_recording=True,
         )
         velocity = np.zeros((1, nodes, 3))
         velocity[0, :, 0] = spin * z
@@ -329,9 +320,7 @@ def test_internal_damping_lets_a_stiff_pendulum_swing(scheme):
     for damping in (0.05, 0.0):
         batch = straight_rod(7, gravity=(0.0, 0.0, -9.81), turned=0.3)
         prescribe(batch, pinned_nodes=(0,))
-        dynamics = Dynamics(
-            batch, scheme=scheme, radius=0.01, internal_damping=damping, keeps_recording=True
-        )
+        dynamics = Dynamics(batch, scheme=scheme, radius=0.01, internal_damping=damping)
         assert not dynamics.advance(2.4, 0.0025).diverged[0]
         # E = m g L / 2 (1 - cos(amplitude)) over the energy at rest.
         ends.append(np.arccos(1.0 - (dynamics.energy()[0] + 9.81 / 2) / (9.81 / 2)) / 0.3)
@@ -347,7 +336,7 @@ def test_strut_leaves_an_unstable_state():
     load = np.zeros((1, 22, 3))
     load[0, -1, 0] = -4 * np.pi**2 / 4
     batch.point_load.assign(load)
-    dynamics = Dynamics(batch, scheme="euler", radius=0.01, air_damping=1.0, keeps_recording=True)
+    dynamics = Dynamics(batch, scheme="euler", radius=0.01, air_damping=1.0)
     assert not dynamics.advance(8.0, 1.0).diverged.any()
     assert np.linalg.norm(batch.positions()[0, -1, 1:]) > 0.1
 
@@ -358,13 +347,13 @@ def test_diverging_rod_is_cut_out_and_others_go_on():
     gravity = np.zeros((3, 3))
     gravity[0, 2] = -1e14
     together.gravity.assign(gravity)
-    dynamics = Dynamics(together, radius=0.01, force_scale=1.0, keeps_recording=True)
+    dynamics = Dynamics(together, radius=0.01, force_scale=1.0)
     result = dynamics.advance(0.1, 0.01)
     assert result.diverged.tolist() == [True, False, False]
     assert result.time[0] < 0.1
     assert result.time[1:] == pytest.approx(0.1)
     assert np.isfinite(together.positions()).all()
-    Dynamics(alone, radius=0.01, force_scale=1.0, keeps_recording=True).advance(0.1, 0.01)
+    Dynamics(alone, radius=0.01, force_scale=1.0).advance(0.1, 0.01)
     assert np.abs(together.positions()[1:] - alone.positions()).max() < 1e-12
 
 
@@ -372,11 +361,11 @@ def test_frames_are_recorded_at_their_times():
     import warp as wp
 
     batch = cantilever(11)
-    dynamics = Dynamics(batch, radius=0.01, keeps_recording=True)
+    dynamics = Dynamics(batch, radius=0.01)
     frames = wp.zeros((1, 6, batch.dof_count), dtype=wp.float64, device=batch.device)
     dynamics.advance(0.1, 0.01, frames=frames, frame_interval=0.02)
     film = frames.numpy().copy()
-    again = Dynamics(cantilever(11), radius=0.01, keeps_recording=True)
+    again = Dynamics(cantilever(11), radius=0.01)
     again.advance(0.06, 0.01)
     assert np.abs(film[0, 3] - again.batch.state.dof.numpy()[0]).max() < 1e-9
     assert np.abs(film[0, 5] - batch.state.dof.numpy()[0]).max() < 1e-12

@@ -128,7 +128,7 @@ def test_a_wire_springs_back_to_the_radius_that_it_keeps(hardening):
     batch = RodBatch.of(
         rod(Plastic(yields, hardening)), s, position, director=[0, 0, 1], gravity=[0, 0, 0]
     )
-    dynamics = Dynamics(batch, radius=0.002, air_damping=1e3, keeps_recording=True)
+    dynamics = Dynamics(batch, radius=0.002, air_damping=1e3)
     dynamics.advance(5.0, 0.05)
     x = batch.positions()[0]
     chord, sagitta = x[-1] - x[0], x[EDGES] - 0.5 * (x[0] + x[-1])
@@ -146,7 +146,7 @@ def test_energy_is_only_lost(law):
     position[:, :, 0] = s
     batch = RodBatch.of([rod(law), rod(Linear())], s, position, clamped=(True, False))
     prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
-    dynamics = Dynamics(batch, radius=0.002, scheme="midpoint", keeps_recording=True)
+    dynamics = Dynamics(batch, radius=0.002, scheme="midpoint")
     energy = [dynamics.energy()]
     for t in np.arange(0.02, 0.61, 0.02):
         dynamics.advance(t, 0.004)

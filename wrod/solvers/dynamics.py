@@ -76,9 +76,8 @@ class Dynamics(NewtonSteps):
             k_b / L^2 if that is larger.
         tolerance: largest residual of a step over the force scale.
         keeps_recording: record the launches of a round on any device, and replay them in later
-            calls of `advance` too, for callers that advance step by step. `motion` and contacts
-            must then keep their arrays and numbers, or `forget_recording` be called. On a CPU no
-            other thread may launch anything meanwhile: it would be recorded too.
+            calls of `advance` too. `motion`, contacts and bodies must then keep their arrays and
+            numbers, or `forget_recording` be called. Default: where there are none.
 
     Attributes:
         max_iterations: of Newton; a step that needs more is halved.
@@ -124,7 +123,7 @@ class Dynamics(NewtonSteps):
         bodies: Bodies | None = None,
         force_scale: np.ndarray | float | None = None,
         tolerance: float = 1e-6,
-        keeps_recording: bool = False,
+        keeps_recording: bool | None = None,
     ):
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
@@ -177,7 +176,8 @@ class Dynamics(NewtonSteps):
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(5, dtype=wp.int32, device=device)
         self._goes_on = self._going[:1]  # a condition of a graph is one number
-        self.keeps_recording = keeps_recording
+        alone = not self.contacts and motion is None and bodies is None
+        self.keeps_recording = alone if keeps_recording is None else keeps_recording
         self._recording: tuple[tuple, object] | None = None
 
     @arguments.checked(RodError, drag=arguments.numbers_of_any_shape)
@@ -256,8 +256,7 @@ class Dynamics(NewtonSteps):
                 then()
             self._ask(_ROUNDS)
 
-        array = None if frames is None else frames.ptr
-        key = (step, smallest, self.tolerance, array, frame_interval)
+        key = (step, smallest, None if frames is None else frames.ptr, frame_interval, then)
         graph = self._recorded(key)
         taken = 0
         if graph is None:
@@ -272,7 +271,7 @@ class Dynamics(NewtonSteps):
                 and (self.keeps_recording or not wp.get_device(self.batch.device).is_cpu)
             ):
                 graph = self._record(take_round)
-                self._recording = (key, graph) if graph and self.keeps_recording else None
+                self._keep(key, graph)
             self._rounds.zero_()
             if graph is None:
                 take_round()
@@ -322,7 +321,7 @@ class Dynamics(NewtonSteps):
         decides = device.is_cpu or wp.is_conditional_graph_supported()
         if device.is_capturing and not decides:
             raise RodError("a step in a CUDA graph needs CUDA 12.4 or newer; step without a graph")
-        key = (duration, step, smallest, self.tolerance)
+        key = (duration, step, smallest)
         records = self.keeps_recording and decides and not device.is_capturing
         graph = self._recorded(key) if records else None
         if graph is None and records and device.is_cpu:
@@ -330,14 +329,14 @@ class Dynamics(NewtonSteps):
             # which compiles the kernels.
             take_round()
             graph = record(device, take_rounds)
-            self._recording = (key, graph) if graph else None
+            self._keep(key, graph)
         if graph is not None:
             replay(graph)
             return
         take_rounds()
         if records and not device.is_cpu:
             graph = record(device, take_rounds)
-            self._recording = (key, graph) if graph else None
+            self._keep(key, graph)
 
     def launch_times(self, until: float, step: float, rounds: int) -> list[tuple[str, float]]:
         """(name, milliseconds) of all that rounds of steps towards `until` launch on a GPU, one by
@@ -354,10 +353,21 @@ class Dynamics(NewtonSteps):
         self._per_rod(pace.begin_advance, [wp.float64(step)], [self.pace])
 
     def _recorded(self, key: tuple) -> wp.Graph | None:
-        """What was recorded for the same numbers."""
-        if self._recording is not None and self._recording[0] == key:
+        """What was recorded for the same numbers and arrays."""
+        if self._recording is not None and self._recording[0] == (key, self._launched):
             return self._recording[1]
         return None
+
+    def _keep(self, key: tuple, graph: wp.Graph | None) -> None:
+        keeps = graph is not None and self.keeps_recording
+        self._recording = ((key, self._launched), graph) if keeps else None
+
+    @property
+    def _launched(self) -> tuple:
+        """What rounds are launched with, where contacts, `motion` and bodies do not change."""
+        own = tuple(a.ptr for a in vars(self).values() if isinstance(a, wp.array))
+        numbers = self.tolerance, self.max_iterations, self.refuses_saddles, self.follower
+        return (*numbers, *own, *self.batch.launched)
 
     @property
     def is_recorded(self) -> bool:
