@@ -22,6 +22,7 @@ SETS = (
     ("stiffness, quadratic", 501, "correlated-0.7"),
     ("stiffness_gradient", 501, "correlated-0.7"),
     ("natural_curvature + stiffness", 302, "white"),
+    ("natural_curvature", 303, "white"),
 )
 
 

@@ -182,7 +182,7 @@ class Scene:
         self.moved = wp.array([self.hand, tray][: poses.shape[1]], dtype=int, device=DEVICE)
         self.poses = np.round(poses * 2**20) / 2**20  # so that steps of them are exact
         self.weight = wp.array(rng.normal(size=(18, 3)), dtype=vec3d, device=DEVICE)
-        self.solver = SolverDER(model, **self.options)
+        self.solver, self.changed = SolverDER(model, **self.options), 0
         self.reused = [model.state() for _ in range(states)]
 
     def _add_solids(self, builder, body, cfg):
@@ -211,6 +211,9 @@ class Scene:
         """Loss, first state and poses; the first `warm` steps are not on the tape. Without one,
         solver and states are those of the run before."""
         model, start, solver, states = self.model, self.start | changed, self.solver, self.reused
+        if tape is None and self.changed:
+            solver.notify_model_changed(self.changed)
+            self.changed = 0
         given = np.asarray(changed.get("poses", self.poses), dtype=np.float32)
         poses = [wp.array(p, dtype=wp.transform, device=DEVICE, requires_grad=True) for p in given]
         if tape is not None:
@@ -281,13 +284,13 @@ class Scene:
             if of_state is not None:
                 return self.run(**{name: put_off}, **options)[0]
             array.assign(put_off.astype(value.dtype))
-            self.solver.notify_model_changed(flag)
+            self.changed |= int(flag)
             return self.run(**options)[0]
 
         agree(found, at, size, allowance, name)
         if of_state is None:
             array.assign(value)
-            self.solver.notify_model_changed(flag)
+            self.changed |= int(flag)
 
 
 def agree(found, at, size, allowance, name=None):
