@@ -175,15 +175,15 @@ def command(
     Corners are rounded to what the rod can lie in. What is finished is kept: without a joint path
     the trajectory and its picture are written all the same, and the exit code is 3.
     """
-    from wrod.deployment.simulate import with_remainder_of
-    from wrod.planning.remainder import lead_ins, prepare
-    from wrod.planning.roll import read_roll
-
     how, chosen = grasps.read(), None if device == "auto" else device
     request = request.check()
     draw_beside(not request.no_robot)
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = grasps.friction()
+    # What takes a second to import, once nothing is left to refuse.
+    from wrod.deployment.simulate import with_remainder_of
+    from wrod.planning.remainder import lead_ins, prepare
+    from wrod.planning.roll import read_roll
 
     def planned(wanted: Shaping, friction=None, led=None, spin=None, tried=False):
         """Pattern, rod and trajectory of a shaping; `led` is the remainder, `spin` [degrees], where
