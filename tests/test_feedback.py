@@ -281,9 +281,11 @@ def test_what_lies_beside_is_made_up_for_by_several_steps(bend):
     assert 0.0 < np.abs(finer.way.path.position - corrected.way.path.position).max() < 1e-3
     assert after.mean() < before.mean()
     moved = corrected.way.path.position - trajectory.position
-    # Nothing of what is gone is changed, and the grip goes on without a step.
+    # Nothing of what is gone is changed, and the grip goes on without a step: 2.5 mm on it has gone
+    # a ninth of the way that it has gone after a centimetre.
     ahead = way.laid > 0.12
-    assert not moved[~ahead].any() and 0.0 < np.abs(moved[ahead][0]).max() < 5e-4
+    size = np.abs(moved[ahead]).max(axis=1)
+    assert not moved[~ahead].any() and 0.0 < size[0] < 0.15 * size[2]
     # A centimetre on, it is where a path that may begin anywhere is: nothing of that is held back.
     c = way.corrections(pattern, ROD.gravito_bending_length, 0.12, 0.3, 0.01)
     assert c.basis[way.laid > 0.13].sum(axis=1) == pytest.approx(1.0, abs=1e-12)

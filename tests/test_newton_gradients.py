@@ -334,7 +334,8 @@ def compare(scene, names, size=1e-4, **options):
             way[7:9] = 0.0
         little = ["edge_spin", "edge_stretching_stiffness"]  # which count little
         little += ["node_natural_curvature"] if scene.crossed else []
-        if name in little or (name == "rod_air_damping" and (scene.ground or scene.crossed)):
+        damping = name in ("rod_air_damping", "rod_internal_damping")
+        if name in little or (damping and (scene.ground or scene.crossed)):
             way *= 300.0 if scene.crossed and name == "edge_spin" else 30.0
         elif name == "node_q" and scene.kinked:  # the skin in which contact begins is thin
             way *= 0.01

@@ -103,11 +103,12 @@ def test_predictions_are_of_second_order(bent):
         )
         assert solver.solve([setup]).all()
         found = solver.predict([setup])
-        clamped = found.frame[0, :, 0].real - measurements.clamp_rotation
+        frames = found.frames[0]().real
+        clamped = frames[:, 0] - measurements.clamp_rotation
         assert np.abs(clamped).max() < 1e-12
         return np.array([
             np.abs(found.position[0].real - quiet["centerline"]).max() / ROD.length,
-            np.abs(found.frame[0].real - seen["frame"]).max(),
+            np.abs(frames - seen["frame"]).max(),
             relative(found.force[0].real, quiet["grip_force"]),
             relative(found.torque[0].real, quiet["grip_torque"]),
         ])  # fmt: skip
