@@ -23,36 +23,6 @@ def column_node(x: wp.array3d(dtype=wp.float64), r: int, j: int, i: int) -> wp.v
     return wp.vec3d(x[r, j, 4 * i], x[r, j, 4 * i + 1], x[r, j, 4 * i + 2])
 
 
-@wp.kernel
-def measure_strain_tangents(
-    accepted: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    director: wp.array2d(dtype=wp.vec3d),
-    tangent: wp.array3d(dtype=wp.float64),
-    per_thread: int,
-    strain_out: wp.array3d(dtype=wp.vec3d),
-):
-    """Rates of the strains along every column of `tangent`."""
-    r, i_, group = wp.tid()
-    if accepted[r] == 0:
-        return
-    i = i_ + 1
-    s = stencil(dof, director, r, i)
-    first = component(s, 0)
-    second = component(s, 1)
-    binormal = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
-    last = wp.min(tangent.shape[1], (group + 1) * per_thread)
-    for j in range(group * per_thread, last):
-        middle = column_node(tangent, r, j, i)
-        de = (middle - column_node(tangent, r, j, i - 1)) / s.length_e
-        df = (column_node(tangent, r, j, i + 1) - middle) / s.length_f
-        te = tangent[r, j, 4 * i - 1]
-        tf = tangent[r, j, 4 * i + 3]
-        kappa_1 = wp.dot(first.e, de) + wp.dot(first.f, df) + first.te * te + first.tf * tf
-        kappa_2 = wp.dot(second.e, de) + wp.dot(second.f, df) + second.te * te + second.tf * tf
-        strain_out[r, j, i] = wp.vec3d(kappa_1, kappa_2, tf - te + wp.dot(binormal, de + df))
-
-
 @wp.func
 def law_denominator(b: wp.vec3d, excess: wp.vec3d, c: wp.float64) -> wp.float64:
     """1 + c sum_k B_k e_k^2 / B over the two bendings, B their mean stiffness."""
@@ -391,54 +361,3 @@ def finish_tangents(
     velocity[r, j, a] = v / step[r]
     older[r, j, a] = tangent[r, j, a]
     tangent[r, j, a] = now
-
-
-@wp.kernel
-def shift_strain_tangents(
-    accepted: wp.array(dtype=wp.int32),
-    strain_new: wp.array3d(dtype=wp.vec3d),
-    # In and out:
-    strain: wp.array3d(dtype=wp.vec3d),
-    strain_older: wp.array3d(dtype=wp.vec3d),
-):
-    r, j, i = wp.tid()
-    if accepted[r] != 0:
-        strain_older[r, j, i] = strain[r, j, i]
-        strain[r, j, i] = strain_new[r, j, i]
-
-
-@wp.func
-def turned_shift(
-    o: wp.vec3d, t: wp.vec3d, m1: wp.vec3d, m2: wp.vec3d, dt: wp.vec3d, spin: wp.float64
-) -> wp.vec3d:
-    """Rate of o_1 m1 + o_2 m2 + o_3 t as t turns by dt and the frame spins."""
-    d1 = spin * m2 - wp.dot(dt, m1) * t
-    d2 = -spin * m1 - wp.dot(dt, m2) * t
-    return o[0] * d1 + o[1] * d2 + o[2] * dt
-
-
-@wp.kernel
-def observe_tangents(
-    place: wp.array(dtype=wp.int32),
-    offset: wp.array2d(dtype=wp.vec3d),
-    offset_rate: wp.array2d(dtype=wp.vec3d),
-    dof: wp.array2d(dtype=wp.float64),
-    director: wp.array2d(dtype=wp.vec3d),
-    tangent: wp.array3d(dtype=wp.float64),
-    frame: int,
-    # Out: (rod, frame, marker, column)
-    rate_out: wp.array4d(dtype=wp.vec3d),
-):
-    r, k, j = wp.tid()
-    i = place[k]
-    s = stencil(dof, director, r, i)
-    o = offset[wp.min(r, offset.shape[0] - 1), k]
-    d = offset_rate[j, k]
-    e = column_node(tangent, r, j, i) - column_node(tangent, r, j, i - 1)
-    f = column_node(tangent, r, j, i + 1) - column_node(tangent, r, j, i)
-    e = (e - wp.dot(e, s.t) * s.t) / s.length_e
-    f = (f - wp.dot(f, s.u) * s.u) / s.length_f
-    shift = d[0] * (s.m1e + s.m1f) + d[1] * (s.m2e + s.m2f) + d[2] * (s.t + s.u)
-    shift += turned_shift(o, s.t, s.m1e, s.m2e, e, tangent[r, j, 4 * i - 1])
-    shift += turned_shift(o, s.u, s.m1f, s.m2f, f, tangent[r, j, 4 * i + 3])
-    rate_out[r, frame, k, j] = column_node(tangent, r, j, i) + HALF * shift

@@ -11,6 +11,7 @@ from wrod.identification.motion.start import first_nodes, held_ends
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.linear import banded
 from wrod.kernels.stepping import motion_tangents as kernels
+from wrod.kernels.stepping import tangents_observed
 from wrod.solvers.banded import BandedSystem
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ class Tangents:
     def _strains(self, accepted, out):
         s = self.batch.state
         self._launch(
-            kernels.measure_strain_tangents,
+            tangents_observed.measure_strain_tangents,
             (self.batch.node_count - 2, self.groups),
             [accepted, s.dof, s.director, self.now, self.per_thread],
             [out],
@@ -235,7 +236,7 @@ class Tangents:
         )
         self._strains(accepted, self.strain_new)
         self._launch(
-            kernels.shift_strain_tangents,
+            tangents_observed.shift_strain_tangents,
             (self.count, batch.node_count),
             [accepted, self.strain_new],
             [self.strain, self.strain_older],
@@ -251,7 +252,7 @@ class Tangents:
         """Record the markers' tangents in a frame."""
         s = self.batch.state
         self._launch(
-            kernels.observe_tangents,
+            tangents_observed.observe_tangents,
             (place.shape[0], self.count),
             [place, offset, self.model["marker_offset"], s.dof, s.director, self.now, frame],
             [self.seen],
