@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 from scipy.integrate import solve_bvp
 
 from wrod.rods.batch import RodBatch
@@ -159,3 +160,27 @@ def test_continuation_reaches_what_a_cold_start_does_not():
     assert result.progress[0] == 1.0
     assert result.negative_pivots[0] == 0
     assert np.abs(batch.positions()[0, -1] - (0.15, 0.3, 0.2)).max() < 1e-12
+
+
+@pytest.mark.parametrize("layered", [False, True])
+def test_a_batch_is_what_its_arrays_are(layered):
+    """Other numbers in an array, and another array in its place, are the same rod."""
+    tips = []
+    for another in (False, True):
+        batch = straight_rods(31, 1.0, (1, 0, 0), gravity=(0, 0, -5.0))
+        prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
+        if layered:
+            batch.set_layers([(np.full((1, 31, 2), 0.5), np.full((1, 31, 2), 0.1))])
+        assert solve_equilibria(batch).converged.all()
+        before = batch.positions()[0, -1]
+        for name, change in (("bending_stiffness", 3.0), ("natural_curvature", 0.4)):
+            old = getattr(batch, name)
+            values = old.numpy() + change
+            if another:
+                setattr(batch, name, wp.array(values, dtype=old.dtype))
+            else:
+                old.assign(values)
+        assert solve_equilibria(batch).converged.all()
+        tips.append(batch.positions()[0, -1])
+        assert np.abs(tips[-1] - before).max() > 0.1
+    assert np.array_equal(*tips)

@@ -1,7 +1,6 @@
 """The arrays of a batch of rods, and how they are set."""
 
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -20,6 +19,14 @@ from wrod.kernels.elastic.inelastic import Inelastic, inelastic_energy, set_inel
 from wrod.kernels.elastic.model import ElasticModel
 from wrod.rods.device import OnDevice
 from wrod.rods.state import RodState
+
+# What the elastic energy depends on besides the state, by the names of `ElasticModel`.
+_ELASTIC = {
+    "rest_length": "rest_length", "stretching": "stretching_stiffness",
+    "bending": "bending_stiffness", "invariant": "bending_stiffness",
+    "natural_curvature": "natural_curvature", "softening": "softening",
+    "twisting": "twisting_stiffness", "natural_twist": "natural_twist",
+}  # fmt: skip
 
 
 def _floats(name: str, value) -> np.ndarray:
@@ -54,6 +61,8 @@ class BatchArrays(OnDevice):
     energies: list[tuple[wp.Kernel, wp.array]]
     layers: list[ElasticModel]
     cut_edges: tuple[int, ...]
+    _elastic: ElasticModel
+    _of: Sequence[wp.array] = ()
 
     def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
         if isinstance(value, wp.array):
@@ -83,15 +92,23 @@ class BatchArrays(OnDevice):
             ) from None
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
 
-    @cached_property
+    @property
+    def elastic_arrays(self) -> list[wp.array]:
+        """What the elastic energy depends on besides the state, as the batch has it now."""
+        return [getattr(self, name) for name in _ELASTIC.values()]
+
+    @property
     def elastic_model(self) -> ElasticModel:
-        """What the elastic energy depends on besides the state: the arrays of this batch."""
-        model = ElasticModel()
-        model.rest_length, model.stretching = self.rest_length, self.stretching_stiffness
-        model.bending = model.invariant = self.bending_stiffness
-        model.natural_curvature, model.softening = self.natural_curvature, self.softening
-        model.twisting, model.natural_twist = self.twisting_stiffness, self.natural_twist
-        return model
+        """The same as one record: another one where a batch was given other arrays since."""
+        arrays = self.elastic_arrays
+        if not self._of or any(a is not b for a, b in zip(arrays, self._of, strict=True)):
+            self._of, self._elastic = arrays, ElasticModel()
+            for name, array in zip(_ELASTIC, arrays, strict=True):
+                setattr(self._elastic, name, array)
+            for layer in self.layers:  # which share these
+                layer.rest_length = self.rest_length
+                layer.natural_curvature = self.natural_curvature
+        return self._elastic
 
     def set_layers(self, layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
         """Parallel layers beside `bending_stiffness`, each with a softening of its own, whose

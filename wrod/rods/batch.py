@@ -205,7 +205,7 @@ class RodBatch(BatchArrays):
     def launched(self) -> tuple:
         """What launches are made of besides the numbers in the arrays: recorded ones serve as long
         as it stays the same."""
-        arrays = [self.node_mass, self.gravity, self.point_load, self.free]
+        arrays = [*self.elastic_arrays, self.node_mass, self.gravity, self.point_load, self.free]
         arrays += [layer.bending for layer in self.layers] + [a for _, a in self.energies]
         kernels = [id(kernel) for kernel, _ in self.energies]
         return (self.softens, len(self.layers), *kernels, *(a.ptr for a in arrays))
