@@ -227,7 +227,7 @@ def elastic_tangents(
 
 
 @wp.kernel
-def flow_tangents(
+def stretch_damping_tangents(
     # Model:
     rest_length: wp.array2d(dtype=wp.float64),
     stretching: wp.array2d(dtype=wp.float64),

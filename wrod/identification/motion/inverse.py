@@ -23,7 +23,7 @@ from wrod.identification.motion.smoothing import sampled_frames, smoothed, smoot
 from wrod.identification.motion.start import held_ends
 from wrod.identification.motion.tangents import COMPLEX_STEP, kind_of, node_columns
 from wrod.identification.motion.windows import Windows
-from wrod.kernels.stepping import motion_tangents, tangents_observed
+from wrod.kernels.stepping import motion_tangents, observed_tangents
 from wrod.rods.batch import RodBatch
 from wrod.rods.rotation import angle_about, node_frames, transport
 from wrod.rods.state import full_hessian
@@ -312,7 +312,7 @@ class _Condensation:
         out = wp.zeros((b.rod_count, 1, b.node_count), dtype=wp.vec3d, device=b.device)
         s = b.state
         b.launch(
-            tangents_observed.measure_strain_tangents,
+            observed_tangents.measure_strain_tangents,
             (b.rod_count, b.node_count - 2, 1),
             [b.every_rod, s.dof, s.director]
             + [wp.array(rate[:, None], dtype=wp.float64, device=b.device), 1],

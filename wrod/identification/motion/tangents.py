@@ -11,7 +11,7 @@ from wrod.identification.motion.start import first_nodes, held_ends
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.linear import banded
 from wrod.kernels.stepping import motion_tangents as kernels
-from wrod.kernels.stepping import tangents_observed
+from wrod.kernels.stepping import observed_tangents
 from wrod.solvers.banded import BandedSystem
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ class Tangents:
     def _strains(self, accepted, out):
         s = self.batch.state
         self._launch(
-            tangents_observed.measure_strain_tangents,
+            observed_tangents.measure_strain_tangents,
             (self.batch.node_count - 2, self.groups),
             [accepted, s.dof, s.director, self.now, self.per_thread],
             [out],
@@ -211,7 +211,7 @@ class Tangents:
         )  # fmt: skip
         names = ("rest_length", "stretching", "viscous_time")
         self._launch(
-            kernels.flow_tangents,
+            kernels.stretch_damping_tangents,
             (batch.node_count - 1, self.count),
             [model[k] for k in names] + [self.model[k] for k in names]
             + [accepted, coefficient, step, batch.state.dof, *history[:2], self.now, self.older],
@@ -236,7 +236,7 @@ class Tangents:
         )
         self._strains(accepted, self.strain_new)
         self._launch(
-            tangents_observed.shift_strain_tangents,
+            observed_tangents.shift_strain_tangents,
             (self.count, batch.node_count),
             [accepted, self.strain_new],
             [self.strain, self.strain_older],
@@ -252,7 +252,7 @@ class Tangents:
         """Record the markers' tangents in a frame."""
         s = self.batch.state
         self._launch(
-            tangents_observed.observe_tangents,
+            observed_tangents.observe_tangents,
             (place.shape[0], self.count),
             [place, offset, self.model["marker_offset"], s.dof, s.director, self.now, frame],
             [self.seen],
