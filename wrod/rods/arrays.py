@@ -1,6 +1,7 @@
 """The arrays of a batch of rods, and how they are set."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -33,12 +34,17 @@ def _floats(name: str, value) -> np.ndarray:
     return arguments.floats(value, name, RodError)
 
 
+def filled(struct: Any, arrays: dict[str, wp.array]) -> Any:
+    """A Warp struct of these arrays."""
+    for name, array in arrays.items():
+        setattr(struct, name, array)
+    return struct
+
+
 def with_arrays(model: ElasticModel, **others: wp.array) -> ElasticModel:
     """The same with other arrays in some places."""
-    out = ElasticModel()
-    for name in ElasticModel.vars:
-        setattr(out, name, others.get(name, getattr(model, name)))
-    return out
+    known = {name: getattr(model, name) for name in ElasticModel.vars}
+    return filled(ElasticModel(), known | others)
 
 
 class BatchArrays(OnDevice):
@@ -102,9 +108,8 @@ class BatchArrays(OnDevice):
         """The same as one record: another one where a batch was given other arrays since."""
         arrays = self.elastic_arrays
         if not self._of or any(a is not b for a, b in zip(arrays, self._of, strict=True)):
-            self._of, self._elastic = arrays, ElasticModel()
-            for name, array in zip(_ELASTIC, arrays, strict=True):
-                setattr(self._elastic, name, array)
+            self._of = arrays
+            self._elastic = filled(ElasticModel(), dict(zip(_ELASTIC, arrays, strict=True)))
             for layer in self.layers:  # which share these
                 layer.rest_length = self.rest_length
                 layer.natural_curvature = self.natural_curvature

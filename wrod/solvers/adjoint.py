@@ -14,6 +14,7 @@ from wrod.kernels.stepping import midpoint_adjoint, model_adjoint
 from wrod.kernels.stepping.body_adjoint import BodySteps, WantedBodies
 from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.trace import OneStep, Wanted, go_back, recall_step
+from wrod.rods.arrays import filled
 from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.body_adjoint import BodyAdjoint
 from wrod.solvers.contact_adjoint import ContactAdjoint
@@ -26,7 +27,6 @@ from wrod.solvers.step_parts import StepParts
 from wrod.solvers.steps import SCHEMES
 from wrod.solvers.trace import (
     Record,
-    filled,
     make_wanted,
     require_differentiable,
     step_arrays,

@@ -82,13 +82,6 @@ def beside_rods(dynamics: Dynamics) -> list[wp.array]:
     return out if past is None else [*out, past]
 
 
-def filled(struct: Any, arrays: dict[str, wp.array]) -> Any:
-    """A Warp struct of these arrays."""
-    for name, array in arrays.items():
-        setattr(struct, name, array)
-    return struct
-
-
 def require_differentiable(dynamics: Dynamics) -> None:
     """See that steps have an adjoint.
 

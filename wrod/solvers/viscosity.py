@@ -6,7 +6,7 @@ import warp as wp
 from wrod.errors import RodError
 from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.stepping import viscosity as kernels
-from wrod.rods.arrays import with_arrays
+from wrod.rods.arrays import filled
 from wrod.rods.batch import RodBatch
 
 
@@ -52,7 +52,7 @@ class Viscosity:
             return
         model = batch.elastic_model
         own = {name: wp.clone(getattr(model, name)) for name in ElasticModel.vars}
-        self.model = with_arrays(model, **own)
+        self.model = filled(ElasticModel(), own)
         self.strain, self.strain_older = (
             wp.zeros(shape[:2], dtype=wp.vec4d, device=device) for _ in range(2)
         )
