@@ -3,6 +3,7 @@
 import warp as wp
 from wrod.kernels.elastic.curvature import stencil
 from wrod.kernels.elastic.frames import HALF, angle_towards, node, parallel_transport
+from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})
 
@@ -46,21 +47,55 @@ def hold_ends(
         )
 
 
+@wp.func
+def frame_of(chosen: int, time: wp.float64, substeps: int, rate: wp.float64) -> int:
+    """Frame at a time after the second one; -1 between frames and for rods that are not chosen."""
+    taken = substeps + int(wp.round(time * rate))
+    if chosen == 0 or taken % substeps != 0:
+        return -1
+    return taken / substeps
+
+
 @wp.kernel
 def observe(
     # In: node (marker) and offset (column 0: the model's) of every marker
     place: wp.array(dtype=wp.int32),
     offset: wp.array2d(dtype=wp.vec3d),
+    accepted: wp.array(dtype=wp.int32),
+    time: wp.array(dtype=wp.float64),
+    substeps: int,
+    rate: wp.float64,
     dof: wp.array2d(dtype=wp.float64),
     director: wp.array2d(dtype=wp.vec3d),
-    frame: int,
     # Out: (rod, frame, marker)
     position_out: wp.array3d(dtype=wp.vec3d),
 ):
-    """Markers beside the centreline: offsets in the mean frame of the edges around their nodes."""
+    """Markers beside the centreline: offsets in the mean frame of the edges around their nodes; of
+    rods whose step has ended on a frame."""
     r, k = wp.tid()
+    frame = frame_of(accepted[r], time[r], substeps, rate)
+    if frame < 0:
+        return
     i = place[k]
     s = stencil(dof, director, r, i)
     o = offset[wp.min(r, offset.shape[0] - 1), k]
     shift = o[0] * (s.m1e + s.m1f) + o[1] * (s.m2e + s.m2f) + o[2] * (s.t + s.u)
     position_out[r, frame, k] = node(dof, r, i) + HALF * shift
+
+
+@wp.kernel
+def go_on(
+    # Model: number of the last step to take
+    last: wp.array(dtype=wp.int32),
+    rate: wp.float64,
+    # State in and out:
+    pace: Pace,
+):
+    """Let rods that have taken a step take the next: they need not wait for each other."""
+    r = wp.tid()
+    taken = int(wp.round(pace.time[r] * rate))
+    if pace.accepted[r] == 0 or taken >= last[0]:
+        return
+    pace.until[r] = wp.float64(taken + 1) / rate
+    pace.running[r] = 1
+    pace.starting[r] = 1

@@ -72,11 +72,12 @@ def inertial_tangents(
     tangent_older: wp.array3d(dtype=wp.float64),
     velocity_tangent_before: wp.array3d(dtype=wp.float64),
     velocity_tangent_older: wp.array3d(dtype=wp.float64),
+    per_thread: int,
     # Out:
     right_hand_side_out: wp.array3d(dtype=wp.float64),
 ):
     """Minus the rate of inertia, weight and drag at a fixed configuration at the step's end."""
-    r, i, j = wp.tid()
+    r, i, group = wp.tid()
     if accepted[r] == 0:
         return
     coefficient = coefficients[r]
@@ -86,33 +87,36 @@ def inertial_tangents(
     v = rate(coefficient, dt, node(dof, r, i), node(before, r, i), node(older, r, i))
     a = rate(coefficient, dt, v, node(velocity_before, r, i), node(velocity_older, r, i))
     g = gravity[m, i]
-    dv = rate(
-        coefficient,
-        dt,
-        zero,
-        column_node(tangent_before, r, j, i),
-        column_node(tangent_older, r, j, i),
-    )
-    da = rate(
-        coefficient,
-        dt,
-        dv,
-        column_node(velocity_tangent_before, r, j, i),
-        column_node(velocity_tangent_older, r, j, i),
-    )
-    force = mass[m, i] * (da - gravity_rate[j, i]) + mass_rate[j, i] * (a - g)
-    force += drag_matrix(v, linear_drag[m, i], quadratic_drag[m, i]) * dv
-    force += drag_force(v, linear_drag_rate[j, i], quadratic_drag_rate[j, i])
-    for c in range(3):
-        right_hand_side_out[r, j, 4 * i + c] = -force[c]
-    if i < mass.shape[1] - 1:
-        k = 4 * i + 3
-        spin = (
-            coefficient[1] * tangent_before[r, j, k] + coefficient[2] * tangent_older[r, j, k]
-        ) / dt
-        turn = coefficient[0] * spin + coefficient[1] * velocity_tangent_before[r, j, k]
-        turn += coefficient[2] * velocity_tangent_older[r, j, k]
-        right_hand_side_out[r, j, k] = -spin_inertia * turn / dt
+    damping = drag_matrix(v, linear_drag[m, i], quadratic_drag[m, i])
+    last_column = wp.min(right_hand_side_out.shape[1], (group + 1) * per_thread)
+    for j in range(group * per_thread, last_column):
+        dv = rate(
+            coefficient,
+            dt,
+            zero,
+            column_node(tangent_before, r, j, i),
+            column_node(tangent_older, r, j, i),
+        )
+        da = rate(
+            coefficient,
+            dt,
+            dv,
+            column_node(velocity_tangent_before, r, j, i),
+            column_node(velocity_tangent_older, r, j, i),
+        )
+        force = mass[m, i] * (da - gravity_rate[j, i]) + mass_rate[j, i] * (a - g)
+        force += damping * dv
+        force += drag_force(v, linear_drag_rate[j, i], quadratic_drag_rate[j, i])
+        for c in range(3):
+            right_hand_side_out[r, j, 4 * i + c] = -force[c]
+        if i < mass.shape[1] - 1:
+            k = 4 * i + 3
+            spin = (
+                coefficient[1] * tangent_before[r, j, k] + coefficient[2] * tangent_older[r, j, k]
+            ) / dt
+            turn = coefficient[0] * spin + coefficient[1] * velocity_tangent_before[r, j, k]
+            turn += coefficient[2] * velocity_tangent_older[r, j, k]
+            right_hand_side_out[r, j, k] = -spin_inertia * turn / dt
 
 
 @wp.kernel
@@ -244,12 +248,13 @@ def stretch_damping_tangents(
     older: wp.array2d(dtype=wp.float64),
     tangent_before: wp.array3d(dtype=wp.float64),
     tangent_older: wp.array3d(dtype=wp.float64),
+    per_thread: int,
     # In and out:
     right_hand_side: wp.array3d(dtype=wp.float64),
 ):
     """Minus the rate of what damps stretching, by the time of the first bending, at a fixed
     configuration."""
-    r, i, j = wp.tid()
+    r, i, group = wp.tid()
     if accepted[r] == 0:
         return
     m = wp.min(r, stretching.shape[0] - 1)
@@ -262,18 +267,20 @@ def stretch_damping_tangents(
     length_before = wp.length(e_before)
     length_older = wp.length(e_older)
     flow = (c[0] * length + c[1] * length_before + c[2] * length_older) / (step[r] * rest)
-    moved = column_node(tangent_before, r, j, i + 1) - column_node(tangent_before, r, j, i)
-    flow_rate = c[1] * wp.dot(e_before, moved) / length_before
-    moved = column_node(tangent_older, r, j, i + 1) - column_node(tangent_older, r, j, i)
-    flow_rate += c[2] * wp.dot(e_older, moved) / length_older
-    flow_rate = flow_rate / (step[r] * rest) - flow * rest_length_rate[j, i] / rest
     k = stretching[m, i]
     eta = viscous_time[m, i][0]
-    pull = (stretching_rate[j, i] * eta + k * viscous_time_rate[j, i][0]) * flow
-    pull += k * eta * flow_rate
-    for d in range(3):
-        wp.atomic_add(right_hand_side, r, j, 4 * i + d, pull * e[d] / length)
-        wp.atomic_add(right_hand_side, r, j, 4 * i + 4 + d, -pull * e[d] / length)
+    last_column = wp.min(right_hand_side.shape[1], (group + 1) * per_thread)
+    for j in range(group * per_thread, last_column):
+        moved = column_node(tangent_before, r, j, i + 1) - column_node(tangent_before, r, j, i)
+        flow_rate = c[1] * wp.dot(e_before, moved) / length_before
+        moved = column_node(tangent_older, r, j, i + 1) - column_node(tangent_older, r, j, i)
+        flow_rate += c[2] * wp.dot(e_older, moved) / length_older
+        flow_rate = flow_rate / (step[r] * rest) - flow * rest_length_rate[j, i] / rest
+        pull = (stretching_rate[j, i] * eta + k * viscous_time_rate[j, i][0]) * flow
+        pull += k * eta * flow_rate
+        for d in range(3):
+            wp.atomic_add(right_hand_side, r, j, 4 * i + d, pull * e[d] / length)
+            wp.atomic_add(right_hand_side, r, j, 4 * i + 4 + d, -pull * e[d] / length)
 
 
 @wp.kernel
@@ -318,11 +325,12 @@ def subtract_held(
     hessian: wp.array3d(dtype=wp.float64),
     held: wp.array3d(dtype=wp.float64),
     rows: int,
+    per_thread: int,
     # In and out:
     x: wp.array3d(dtype=wp.float64),
 ):
     """Take the matrix times what is held, nodes and angle of the edge at each end, from x."""
-    r, j, k = wp.tid()
+    r, k, group = wp.tid()
     if accepted[r] == 0:
         return
     n = held.shape[2]
@@ -331,10 +339,13 @@ def subtract_held(
     if k >= rows:
         first = n - 7
         a = n - 1 - (k - rows)
-    value = ZERO
-    for b in range(wp.max(first, a - HALF_BANDWIDTH), wp.min(first + 7, a + HALF_BANDWIDTH + 1)):
-        value += banded_entry(hessian, r, a, b) * held[r, j, b]
-    wp.atomic_sub(x, r, j, a, value)
+    start = wp.max(first, a - HALF_BANDWIDTH)
+    end = wp.min(first + 7, a + HALF_BANDWIDTH + 1)
+    for j in range(group * per_thread, wp.min(held.shape[1], (group + 1) * per_thread)):
+        value = ZERO
+        for b in range(start, end):
+            value += banded_entry(hessian, r, a, b) * held[r, j, b]
+        wp.atomic_sub(x, r, j, a, value)
 
 
 @wp.kernel
@@ -344,6 +355,7 @@ def finish_tangents(
     step: wp.array(dtype=wp.float64),
     solution: wp.array3d(dtype=wp.float64),
     held: wp.array3d(dtype=wp.float64),
+    per_thread: int,
     # In and out:
     tangent: wp.array3d(dtype=wp.float64),
     older: wp.array3d(dtype=wp.float64),
@@ -351,13 +363,14 @@ def finish_tangents(
     velocity_older: wp.array3d(dtype=wp.float64),
 ):
     """Shift the tangents' history by a step."""
-    r, j, a = wp.tid()
+    r, a, group = wp.tid()
     if accepted[r] == 0:
         return
-    coefficient = coefficients[r]
-    now = solution[r, j, a] + held[r, j, a]
-    v = coefficient[0] * now + coefficient[1] * tangent[r, j, a] + coefficient[2] * older[r, j, a]
-    velocity_older[r, j, a] = velocity[r, j, a]
-    velocity[r, j, a] = v / step[r]
-    older[r, j, a] = tangent[r, j, a]
-    tangent[r, j, a] = now
+    c = coefficients[r]
+    for j in range(group * per_thread, wp.min(held.shape[1], (group + 1) * per_thread)):
+        now = solution[r, j, a] + held[r, j, a]
+        v = c[0] * now + c[1] * tangent[r, j, a] + c[2] * older[r, j, a]
+        velocity_older[r, j, a] = velocity[r, j, a]
+        velocity[r, j, a] = v / step[r]
+        older[r, j, a] = tangent[r, j, a]
+        tangent[r, j, a] = now

@@ -4,6 +4,7 @@ on it show; see `motion_tangents`."""
 import warp as wp
 from wrod.kernels.elastic.curvature import component, stencil
 from wrod.kernels.elastic.frames import HALF, ONE
+from wrod.kernels.stepping.motion import frame_of
 from wrod.kernels.stepping.motion_tangents import column_node
 
 wp.set_module_options({"enable_backward": False})
@@ -43,12 +44,15 @@ def measure_strain_tangents(
 def shift_strain_tangents(
     accepted: wp.array(dtype=wp.int32),
     strain_new: wp.array3d(dtype=wp.vec3d),
+    per_thread: int,
     # In and out:
     strain: wp.array3d(dtype=wp.vec3d),
     strain_older: wp.array3d(dtype=wp.vec3d),
 ):
-    r, j, i = wp.tid()
-    if accepted[r] != 0:
+    r, i, group = wp.tid()
+    if accepted[r] == 0:
+        return
+    for j in range(group * per_thread, wp.min(strain.shape[1], (group + 1) * per_thread)):
         strain_older[r, j, i] = strain[r, j, i]
         strain[r, j, i] = strain_new[r, j, i]
 
@@ -68,23 +72,32 @@ def observe_tangents(
     place: wp.array(dtype=wp.int32),
     offset: wp.array2d(dtype=wp.vec3d),
     offset_rate: wp.array2d(dtype=wp.vec3d),
+    accepted: wp.array(dtype=wp.int32),
+    time: wp.array(dtype=wp.float64),
+    substeps: int,
+    rate: wp.float64,
     dof: wp.array2d(dtype=wp.float64),
     director: wp.array2d(dtype=wp.vec3d),
     tangent: wp.array3d(dtype=wp.float64),
-    frame: int,
+    per_thread: int,
     # Out: (rod, frame, marker, column)
     rate_out: wp.array4d(dtype=wp.vec3d),
 ):
-    r, k, j = wp.tid()
+    """Rates of what `wrod.kernels.stepping.motion.observe` sees."""
+    r, k, group = wp.tid()
+    frame = frame_of(accepted[r], time[r], substeps, rate)
+    if frame < 0:
+        return
     i = place[k]
     s = stencil(dof, director, r, i)
     o = offset[wp.min(r, offset.shape[0] - 1), k]
-    d = offset_rate[j, k]
-    e = column_node(tangent, r, j, i) - column_node(tangent, r, j, i - 1)
-    f = column_node(tangent, r, j, i + 1) - column_node(tangent, r, j, i)
-    e = (e - wp.dot(e, s.t) * s.t) / s.length_e
-    f = (f - wp.dot(f, s.u) * s.u) / s.length_f
-    shift = d[0] * (s.m1e + s.m1f) + d[1] * (s.m2e + s.m2f) + d[2] * (s.t + s.u)
-    shift += turned_shift(o, s.t, s.m1e, s.m2e, e, tangent[r, j, 4 * i - 1])
-    shift += turned_shift(o, s.u, s.m1f, s.m2f, f, tangent[r, j, 4 * i + 3])
-    rate_out[r, frame, k, j] = column_node(tangent, r, j, i) + HALF * shift
+    for j in range(group * per_thread, wp.min(tangent.shape[1], (group + 1) * per_thread)):
+        d = offset_rate[j, k]
+        e = column_node(tangent, r, j, i) - column_node(tangent, r, j, i - 1)
+        f = column_node(tangent, r, j, i + 1) - column_node(tangent, r, j, i)
+        e = (e - wp.dot(e, s.t) * s.t) / s.length_e
+        f = (f - wp.dot(f, s.u) * s.u) / s.length_f
+        shift = d[0] * (s.m1e + s.m1f) + d[1] * (s.m2e + s.m2f) + d[2] * (s.t + s.u)
+        shift += turned_shift(o, s.t, s.m1e, s.m2e, e, tangent[r, j, 4 * i - 1])
+        shift += turned_shift(o, s.u, s.m1f, s.m2f, f, tangent[r, j, 4 * i + 3])
+        rate_out[r, frame, k, j] = column_node(tangent, r, j, i) + HALF * shift

@@ -16,6 +16,7 @@ from wrod.kernels.stepping import motion as kernels
 from wrod.kernels.stepping.viscosity import measure_strains
 from wrod.rods.state import RodState
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.newton_steps import NewtonSteps
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _TOLERANCE = 1e-7
@@ -103,7 +104,7 @@ class MotionRun:
     Attributes:
         batch: the rods, one per window.
         last: number of the last step, counted from the first frame.
-        taken: number of the last one taken.
+        taken: number of the last one that all rods have been sent to.
         step_rate: steps per second.
         seen: (W, K, M - 2) markers but the outermost, at every frame's duration.
         tangents: the derivatives, or None.
@@ -160,10 +161,11 @@ class MotionRun:
             tolerance=_TOLERANCE,
         )
         self.dynamics.set_drag(np.stack([values["linear_drag"], values["quadratic_drag"]], axis=1))
-        self.dynamics.follower, self.dynamics.max_iterations = self.tangents, _MAX_ITERATIONS
+        self.dynamics.follower, self.dynamics.max_iterations = self, _MAX_ITERATIONS
         # Windows are predicted with the steps that their frames give.
         self.dynamics.refuses_saddles = False
-        self.taken = 0
+        self.taken = self.substeps
+        self._sent = wp.zeros(1, dtype=wp.int32, device=device)
 
     def prescribe(self, running, time, step, start: RodState) -> None:
         """Put the held edges where their grips are."""
@@ -188,46 +190,55 @@ class MotionRun:
         dynamics.velocity_older.assign(dynamics.velocity)
         if tangents:
             tangents.set_velocity(h)
-        self._record(1)
+        self._observe(batch.every_rod)
         # The first step is central: it spans a frame, as the difference of the first two does.
-        self._step(2 * self.substeps, h)
+        self._go_to(2 * self.substeps, h)
         now = batch.state.dof.numpy().copy()
         dynamics.velocity.assign((1.5 * now - 2.0 * first_dof + 0.5 * earlier) / h)
         dynamics.velocity_older.assign((now - earlier) / (2.0 * h))
         if tangents:
             tangents.centre(h)
-        self._record(2)
         dynamics.keeps_recording = True
         while self.taken < self.last and not dynamics.is_recorded:
-            self._next()
+            self._go_to(self.taken + 1, h / self.substeps)
 
     def finish(self) -> np.ndarray:
         """Take the others; (W,) the last step that converged, counted from the first frame."""
-        while self.taken < self.last:
-            self._next()
+        if self.taken < self.last:
+            self._go_to(self.last, self.frame_time / self.substeps)
         return self.substeps + np.rint(self.dynamics.time.numpy() * self.step_rate).astype(int)
 
-    def _next(self) -> None:
-        self._step(self.taken + 1, self.frame_time / self.substeps)
-        if self.taken % self.substeps == 0:
-            self._record(self.taken // self.substeps)
-
-    def _step(self, number: int, h: float) -> None:
+    def _go_to(self, number: int, h: float) -> None:
+        """Take all steps, `h` long, until one, every rod at its own pace."""
+        first = self.taken + round(h * self.step_rate) - self.substeps
+        self._sent.fill_(number - self.substeps)
         # A step that fails is not halved: its rod is left where it was.
-        until = (number - self.substeps) / self.step_rate
-        self.dynamics.advance(until, 1.0001 * h, smallest_step=0.9 * h)
+        self.dynamics.advance(
+            first / self.step_rate, 1.0001 * h, smallest_step=0.9 * h, then=self._go_on
+        )
         self.taken = number
 
-    def _record(self, frame: int) -> None:
+    def _go_on(self) -> None:
+        pace, inputs = self.dynamics.pace, [self._sent, self.step_rate]
+        self.batch.launch(kernels.go_on, self.batch.rod_count, inputs, [pace])
+
+    def follow(self, dynamics: NewtonSteps) -> None:
+        """Carry the tangents along, and look at the markers of rods that have come to a frame."""
+        if self.tangents:
+            self.tangents.follow(dynamics)
+        self._observe(dynamics.accepted)
+
+    def _observe(self, chosen: wp.array) -> None:
         batch, state = self.batch, self.batch.state
+        when = [chosen, self.dynamics.time, self.substeps, self.step_rate]
         self.batch.launch(
             kernels.observe,
             (batch.rod_count, self.place.shape[0]),
-            [self.place, self.offset, state.dof, state.director, frame],
+            [self.place, self.offset, *when, state.dof, state.director],
             [self.seen],
         )
         if self.tangents:
-            self.tangents.observe(self.place, self.offset, frame)
+            self.tangents.observe(self.place, self.offset, when)
 
     def _twist(self) -> None:
         """Twist of the first configuration: equilibrium of the angles with the nodes where they

@@ -202,19 +202,20 @@ class Tangents:
         coefficient, step = dynamics.coefficient, dynamics.step
         self._launch(
             kernels.inertial_tangents,
-            (batch.node_count, self.count),
+            (batch.node_count, self.groups),
             [model[k] for k in masses] + [SPIN_INERTIA] + [model[k] for k in others]
             + [self.model[k] for k in names]
             + [accepted, coefficient, step, batch.state.dof, *history]
-            + [self.now, self.older, self.velocity, self.velocity_older],
+            + [self.now, self.older, self.velocity, self.velocity_older, self.per_thread],
             [self.x],
         )  # fmt: skip
         names = ("rest_length", "stretching", "viscous_time")
         self._launch(
             kernels.stretch_damping_tangents,
-            (batch.node_count - 1, self.count),
+            (batch.node_count - 1, self.groups),
             [model[k] for k in names] + [self.model[k] for k in names]
-            + [accepted, coefficient, step, batch.state.dof, *history[:2], self.now, self.older],
+            + [accepted, coefficient, step, batch.state.dof, *history[:2], self.now, self.older]
+            + [self.per_thread],
             [self.x],
         )  # fmt: skip
         viscosity = dynamics.viscosity
@@ -223,22 +224,22 @@ class Tangents:
         rows = min(7 + HALF_BANDWIDTH, batch.dof_count)
         self._launch(
             kernels.subtract_held,
-            (self.count, 2 * rows),
-            [accepted, batch.derivatives.hessian, self.step_held, rows],
+            (2 * rows, self.groups),
+            [accepted, batch.derivatives.hessian, self.step_held, rows, self.per_thread],
             [self.x],
         )
         self._solve(accepted)
         self._launch(
             kernels.finish_tangents,
-            (self.count, batch.dof_count),
-            [accepted, coefficient, step, self.x, self.step_held],
+            (batch.dof_count, self.groups),
+            [accepted, coefficient, step, self.x, self.step_held, self.per_thread],
             [self.now, self.older, self.velocity, self.velocity_older],
         )
         self._strains(accepted, self.strain_new)
         self._launch(
             observed_tangents.shift_strain_tangents,
-            (self.count, batch.node_count),
-            [accepted, self.strain_new],
+            (batch.node_count, self.groups),
+            [accepted, self.strain_new, self.per_thread],
             [self.strain, self.strain_older],
         )
 
@@ -248,12 +249,13 @@ class Tangents:
         self.velocity.assign((1.5 * now - 2.0 * middle + 0.5 * self.earliest) / h)
         self.velocity_older.assign((now - self.earliest) / (2.0 * h))
 
-    def observe(self, place, offset, frame) -> None:
-        """Record the markers' tangents in a frame."""
+    def observe(self, place, offset, when: list) -> None:
+        """Record the markers' tangents, with what says whose and in which frame."""
         s = self.batch.state
         self._launch(
             observed_tangents.observe_tangents,
-            (place.shape[0], self.count),
-            [place, offset, self.model["marker_offset"], s.dof, s.director, self.now, frame],
+            (place.shape[0], self.groups),
+            [place, offset, self.model["marker_offset"], *when]
+            + [s.dof, s.director, self.now, self.per_thread],
             [self.seen],
         )
