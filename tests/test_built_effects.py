@@ -20,7 +20,7 @@ BASIS = np.random.default_rng(3).normal(size=(21, 2, 3))
 PROBES = {
     "local_bend": (LocalBend, [0.3, -0.2, 0.22, np.log(0.02)]),
     "stretch": (Stretch, [-0.6, 0.8, 0.2, np.log(0.06)]),
-    "local_load": (LocalLoad, [0.02, -0.03, 0.01, 0.2, np.log(0.15), np.log(6e-3)]),
+    "local_load": (LocalLoad, [3e-3, -4.5e-3, 1.5e-3, 0.27, 0.15, 0.4]),
     "attraction": (Attraction, [0.05, 0.5, -0.1, 0.4, np.log(0.05)]),
     "moment_law": (lambda _: MomentLaw([2.0, 5.0, 12.0]), [0.4, -0.3, 0.5]),
     "profile": (lambda starts: ProfileEffect("curvature", BASIS), [0.4, -0.3, 0.2]),
@@ -74,6 +74,27 @@ def test_a_kink_between_nodes_bends_by_its_whole_angle(laboratory):
     values = np.array([0.4, -0.3, 0.2141, np.log(1e-3)])
     curvature = Model((LocalBend([]),)).setup(base, values).natural_curvature
     assert base.cells() @ curvature == pytest.approx([-0.3, -0.4], rel=1e-9)
+
+
+def test_a_load_is_told_by_the_moments_of_what_pushes_the_nodes(laboratory):
+    m, base, load = laboratory.measurements, laboratory.base, LocalLoad([])
+    values = np.array(PROBES["local_load"][1])
+
+    def moments(values):
+        force = Model((load,)).setup(base, values).force[0]
+        along = force[:, 0] / force[:, 0].sum()
+        centroid = along @ base.arc_length
+        return [*force.sum(axis=0), centroid, np.sqrt(along @ (base.arc_length - centroid) ** 2)]
+
+    way = np.array([4e-3, 1e-3, -2e-3, 0.03, 0.02, 0.5])  # of one unknown that moves all parameters
+    h = 1e-4
+    rates = (np.array(moments(values + h * way)) - moments(values - h * way)) / (2.0 * h)
+    told = load.describe(values, np.outer(way, way), m)
+    for key, value, rate in zip(
+        ("total_x", "total_y", "total_z", "centroid", "spread"), moments(values), rates, strict=True
+    ):
+        assert told[key].value == pytest.approx(value, rel=5e-3)
+        assert told[key].stderr == pytest.approx(abs(rate), rel=2e-2, abs=1e-5)
 
 
 def test_a_law_of_one_term_is_the_softening_of_that_curvature(laboratory):

@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
+from wrod.identification.clamped.layout import COMPLEX_STEP
 from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
 
 # Width of the soft ends of a stretch [m], which is not to be seen: what bends and weighs moves by
 # the square of it.
 _END = 1e-3
-# That of a load's ends within a factor of e, whose place it moves [m].
-_SOFT_END = 5e-3
+# That of a load's ends as a share of the load's length, within a factor of e.
+_SOFT_END = 0.025
+# Cells that a load's moments are sums over.
+_CELLS = 400
 
 
 def _cells(fraction: np.ndarray) -> np.ndarray:
@@ -48,7 +51,7 @@ class Described(Effect):
     """An effect with starts of its own, from a print.
 
     Args:
-        first: parameter vectors to start fits from; of a load without the width of its ends.
+        first: parameter vectors to start fits from; of a load without how soft its ends are.
     """
 
     def __init__(self, first: Sequence[ArrayLike]):
@@ -161,34 +164,59 @@ class Stretch(Described):
 
 
 class LocalLoad(Described):
+    """Readings tell a load's moments. The same force from further out, or with softer ends, is
+    nearly the same to them, so its parameters are the moments, and how soft the ends are."""
+
     name = "local_load"
     title = "a force along a stretch of the rod, fixed in the laboratory"
     reference = "dead force per length between two places, its ends logistic"
     parameters = (
-        *(Parameter(f"force_{axis}", "N/m", 0.1) for axis in "xyz"),
-        Parameter("start", "m", 0.5, anywhere=True),
-        Parameter("log_length", "", 1.0, lower=np.log(2e-3), anywhere=True),
-        Parameter("log_end", "", 1.0, lower=np.log(1e-3), anywhere=True),
+        *(Parameter(f"load_{axis}", "N", 0.03) for axis in "xyz"),
+        Parameter("middle", "m", 0.5, anywhere=True),
+        Parameter("breadth", "m", 0.5, lower=2e-3, anywhere=True),
+        Parameter("log_softness", "", 1.0),
     )
 
     def starts(self, measurements):
-        return [np.append(v, np.log(_SOFT_END)) for v in self.first]
+        return [np.append(v, 0.0) for v in self.first]
 
     def apply(self, setup, values):
-        bounds = _cells(setup.fraction) * setup.length
-        window = _window(bounds, values[3], values[3] + np.exp(values[4]), np.exp(values[5]))
-        setup.push(window[:, None] * np.asarray(values[:3]))
+        force, start, stop, end = self._ends(values)
+        window = _window(_cells(setup.fraction) * setup.length, start, stop, end)
+        setup.push(window[:, None] * force)
+
+    def _ends(self, values):
+        """(force per length, start, stop, width of the ends) of the load that has as much in sum as
+        the parameters say, its centroid there, and spread like a sharp one as long as `breadth`: a
+        variance of length^2 / 12 + pi^2 end^2 / 3, were the rod longer."""
+        share = _SOFT_END * np.exp(values[5])
+        length = values[4] / np.sqrt(1.0 + (2.0 * np.pi * share) ** 2)
+        start = values[3] - 0.5 * length
+        return np.asarray(values[:3]) / length, start, start + length, share * length
+
+    def _told(self, values, rod) -> np.ndarray:
+        """(11,) what `describe` tells, of a rod of that length."""
+        force, *ends = self._ends(values)
+        bounds = np.linspace(0.0, rod, _CELLS + 1)
+        within, middle = _window(bounds, *ends), 0.5 * (bounds[1:] + bounds[:-1])
+        whole = within.sum()
+        centroid = (within @ middle) / whole
+        spread = np.sqrt(within @ (middle - centroid) ** 2 / whole)
+        return np.array([*(force * whole * bounds[1]), centroid, spread, *force, *ends])
 
     def describe(self, values, covariance, measurements):
-        own = super().describe(values, covariance, measurements)
-        length = float(np.exp(values[4]))
-        slopes = np.array([1.0, length])
-        error = float(np.sqrt(slopes @ covariance[3:5, 3:5] @ slopes))
-        found = {k: v for k, v in own.items() if not k.startswith("log_")}
-        end = float(np.exp(values[5]))
-        return found | {
-            "stop": Estimate(float(values[3]) + length, error, "m"),
-            "end_width": Estimate(end, end * float(np.sqrt(covariance[5, 5])), "m"),
+        rod, values = measurements.material.length, np.asarray(values)
+        steps = 1j * COMPLEX_STEP * np.eye(len(values))
+        rates = np.array([self._told(values + h, rod).imag for h in steps]).T / COMPLEX_STEP
+        errors = np.sqrt(np.einsum("kp,pq,kq->k", rates, covariance, rates))
+        units = {f"total_{axis}": "N" for axis in "xyz"} | {"centroid": "m", "spread": "m"}
+        units |= {f"force_{axis}": "N/m" for axis in "xyz"}
+        units |= {"start": "m", "stop": "m", "end_width": "m"}
+        return {
+            key: Estimate(float(value), float(error), unit)
+            for (key, unit), value, error in zip(
+                units.items(), self._told(values, rod), errors, strict=True
+            )
         }
 
 

@@ -13,12 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.identification.clamped.described import (
-    Attraction,
-    LocalBend,
-    LocalLoad,
-    Stretch,
-)
+from wrod.identification.clamped.described import Attraction, LocalBend, LocalLoad, Stretch
 from wrod.identification.clamped.layout import COMPLEX_STEP
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.clamped.trace import hats
@@ -355,7 +350,8 @@ def built_effects(laboratory, above: float = -np.inf) -> tuple[list[Effect], lis
     # A short stretch that is much softer acts like a longer one that is a little so.
     stretches += [[3.0 * v[0], v[1], v[2], v[3]] for v in stretches if v[0] < 0.0]
     wide = [(i, j) for i in range(KNOTS) for j in range(i + 1, KNOTS)]
-    loads = [[*values, *_span(i, j, gap)] for _, values, i, j in linear.scan(("force",), wide)]
+    spans = [(v, i, j, (j - i + 1) * gap) for _, v, i, j in linear.scan(("force",), wide)]
+    loads = [[*(v * breadth), 0.5 * (i + j) * gap, breadth] for v, i, j, breadth in spans]
     effects: list[Effect] = [
         LocalBend(bends),
         Stretch(stretches),
