@@ -11,12 +11,13 @@ from wrod.errors import DataError
 from wrod.identification.clamped.branches import from_measured
 from wrod.identification.clamped.clock import Clock
 from wrod.identification.clamped.equilibria import ClampedSolver
-from wrod.identification.clamped.layout import COMPLEX_STEP, node_part
+from wrod.identification.clamped.layout import COMPLEX_STEP
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.noise import NoiseModel, outliers_of, whiteners
 from wrod.identification.clamped.sensing import Prediction
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Effect, Model
+from wrod.rods.state import node_positions
 
 _SMALLEST_STEP = 1.0 / 64
 # Of the free length, RMS over the markers; 90 edges move rods by less than a tenth of it.
@@ -127,7 +128,7 @@ class Laboratory:
 
     def base_positions(self) -> np.ndarray:
         """(T, n + 1, 3) nodes of the base model's rods between the clamps [m]."""
-        return node_part(self.base_state[0])[:, 1:-1]
+        return node_positions(self.base_state[0])[:, 1:-1]
 
     def solver_at(
         self, model: Model, values: np.ndarray, trials: np.ndarray | None = None

@@ -98,11 +98,6 @@ def full_shape(array: wp.array) -> tuple[int, ...]:
     return tuple(array.shape) + tuple(extra)
 
 
-def node_part(dof: np.ndarray) -> np.ndarray:
-    """(rod, node, 3) what belongs to positions in (rod, 4 node - 1) values."""
-    return np.pad(dof, ((0, 0), (0, 1))).reshape(len(dof), -1, 4)[:, :, :3]
-
-
 def wind_load(position: np.ndarray, wind: np.ndarray) -> np.ndarray:
     """(rod, node, 3) forces of a cross-flow on the edges between the clamps."""
     edge = position[:, 2:-1] - position[:, 1:-2]

@@ -6,9 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from wrod.identification.clamped.layout import COMPLEX_STEP, node_part
+from wrod.identification.clamped.layout import COMPLEX_STEP
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.rods.batch import RodBatch
+from wrod.rods.state import node_positions
 
 # Degrees of freedom that the gripper holds: two nodes and the angle between them.
 END = 7
@@ -68,8 +69,8 @@ class View:
         i = 1j * COMPLEX_STEP
         for c in range(count) if wanted is None else np.flatnonzero(wanted).tolist():
             rods, setup = slice(c * trials, (c + 1) * trials), setups[c]
-            q = self.position[rods] + i * node_part(step[rods])
-            tangent = self._tangents(rods, step[rods])
+            rate = node_positions(step[rods])
+            q, tangent = self.position[rods] + i * rate, self._tangents(rods, rate)
             gradient = self.gradient[rods] + i * reaction_rate[rods]
             result.force[c] = gradient[:, -7:-4] + gradient[:, -3:]
             arm = q[:, -1] - q[:, -2]
@@ -85,9 +86,9 @@ class View:
             result.frames[c] = partial(self._frames_at, *own, nodes, shares)
         return result
 
-    def _tangents(self, rods: slice, step: np.ndarray) -> np.ndarray:
-        """(T, edge, 3) tangents of every edge, rates as imaginary parts."""
-        t, rate = self.tangent[rods], np.diff(node_part(step), axis=1)
+    def _tangents(self, rods: slice, rate: np.ndarray) -> np.ndarray:
+        """(T, edge, 3) tangents of every edge, rates as imaginary parts, of nodes' rates."""
+        t, rate = self.tangent[rods], np.diff(rate, axis=1)
         across = rate - np.sum(rate * t, axis=2, keepdims=True) * t
         return t + 1j * COMPLEX_STEP * across / self.length[rods]
 

@@ -16,7 +16,6 @@ from wrod.identification.clamped.layout import (
     dead_force,
     end_poses,
     law_layers,
-    node_part,
     wind_load,
 )
 from wrod.identification.clamped.sensing import END, Prediction, View
@@ -26,6 +25,7 @@ from wrod.kernels.linear import banded
 from wrod.kernels.stepping.motion_tangents import elastic_tangents
 from wrod.rods.arrays import with_arrays
 from wrod.rods.batch import RodBatch
+from wrod.rods.state import node_positions
 from wrod.solvers.banded import BandedSystem
 
 WIND_PASSES = 12
@@ -245,7 +245,7 @@ class Sensitivity:
         return step / COMPLEX_STEP
 
     def _wind_rate(self, wind, wind_rate, step) -> np.ndarray:
-        position = self.batch.positions() + 1j * COMPLEX_STEP * node_part(step)
+        position = self.batch.positions() + 1j * COMPLEX_STEP * node_positions(step)
         load = np.imag(wind_load(position, wind + 1j * COMPLEX_STEP * wind_rate)) / COMPLEX_STEP
         rate = np.zeros((len(step), load.shape[1], 4))
         rate[:, :, :3] = load
