@@ -107,12 +107,31 @@ def test_no_table_is_invented_from_noise(two_bends):
         laid = follow([believed.felt(path, **ROUGH)])[0]
         truth = replace(laid, centerline=laid.centerline - 0.5 * laid.tangent[0])
         for k, rng in enumerate(rngs):
-            information, pull, _ = told_by(laid, at, Seen.of(truth, at, Sight(), rng))
+            information, pull, *_ = told_by(laid, at, Seen.of(truth, at, Sight(), rng))
             every[k] = [one.after(here, information, pull, False) for one in every[k]]
     sure = [same.evidence - varied.evidence for same, varied in every]
     assert np.sum(np.array(sure) < 0.0) <= 2 and np.mean(sure) > 3.0
     found = np.array([same.mean[0] for same, _ in every])
     assert found.mean() == pytest.approx(-0.5, abs=0.1) and found.std() < 0.3
+
+
+def test_friction_far_from_what_was_believed_is_not_taken_for_a_table_that_varies(two_bends):
+    """A rod that slides little at the friction that is believed says by its derivatives that this
+    has to be far lower than it is: they are taken anew until they are those of what is believed."""
+    pattern, rod, trajectory = two_bends
+    same = ROUGH | {"discretisation": meshed_to_the_end(ROUGH["discretisation"], pattern)}
+    for seed in range(2):
+        beliefs, rng = Beliefs(pattern, rod, 0.4, 0.05), np.random.default_rng(seed)
+        for to in (0.12, 0.15):
+            path = Way(trajectory).until(to).path
+            trial = Trial(pattern, rod, path, Friction(0.15), Disturbance(), Tail.none(path))
+            (lies,) = lay([trial], **same)
+            pictures = [Seen.of(lies, to, Sight(), rng) for _ in range(3)]
+            follow([beliefs.update(to, path, pictures, **same)])
+            same_everywhere, varies = beliefs.accounts
+        (mu,), (error,) = beliefs.under(np.array([0.1]))
+        assert abs(np.log(mu / 0.15)) < 2.0 * error < 0.5
+        assert same_everywhere.evidence > varies.evidence + 1.0
 
 
 def test_noise_in_a_bend_is_not_taken_for_a_rod_that_lies_beside(bend):

@@ -26,15 +26,18 @@ from wrod.solvers.contact import Friction, FrictionField
 # stiffness [-], natural curvature [1/m], and the robot's place [m] and yaw [rad].
 _DOUBT = np.array([0.5, 0.5, 3.0, 2e-3, 2e-3, 5e-3])
 # How much less sure these are at a look, in these: where all is as before, or where it changes as
-# things do. The largest change of a belief, in these.
+# things do.
 _DRIFT = np.array([0.1, 0.05, 0.05, 0.1, 0.1, 0.1])
 _DRIFTS = 0.1 * _DRIFT, _DRIFT
-_MOST_CHANGE = 1.5
 # How likely it is, before anything is seen, that friction differs from place to place.
 _VARIES = 0.05
-# Change of a belief up to which what is believed to lie answers linearly, in these, and how often
-# it is made linear anew for a larger one.
-_LINEAR, _ITERATIONS = 0.05, 2
+# Change of a belief up to which what is believed to lie answers linearly, in these; how often it
+# is made linear anew for one that is larger and more than that part of its error, for all accounts
+# together as long as it is no larger than that; then for each by itself, and the largest change
+# between two times: a rod that slides little where friction is high says by its derivatives that it
+# has to be far lower than it is.
+_LINEAR, _TOGETHER, _ENOUGH, _MOST_TOGETHER = 0.05, 2, 0.2, 0.3
+_ITERATIONS, _MOST_CHANGE = 8, 1.0
 # Which of these moves all that lies, and nothing else.
 _PLACE = slice(3, 6)
 # Residual forces that are enough for what is believed, see `lay`: what lies changes by 1 um.
@@ -79,7 +82,6 @@ class Account:
             spread = np.eye(len(here)) + information @ before
             covariance = before @ np.linalg.inv(spread)
             step = covariance @ left
-            step *= min(1.0, _MOST_CHANGE / max(float(np.abs(step).max()), 1e-12))
             likely = fit + 0.5 * (left @ step - np.linalg.slogdet(spread)[1])
             told.append(Account(self.mean + step, covariance, self.evidence + float(likely)))
         return max(told, key=lambda one: one.evidence)
@@ -115,12 +117,7 @@ class Beliefs:
     def account(self) -> Account:
         """The mean of all, as likely as they are, and the covariance about it: what has slid
         nowhere yet may be another than it is where it slid."""
-        evidence = logsumexp([one.evidence for one in self.accounts])
-        chance = np.exp([one.evidence - evidence for one in self.accounts])
-        means = np.array([one.mean for one in self.accounts])
-        apart = means - chance @ means
-        covariance = np.tensordot(chance, [one.covariance for one in self.accounts], 1)
-        return Account(chance @ means, covariance + (apart.T * chance) @ apart, float(evidence))
+        return _all_of(self.accounts)
 
     @property
     def mean(self) -> np.ndarray:
@@ -146,12 +143,10 @@ class Beliefs:
         """Of the robot about the pattern's beginning, likewise [rad]."""
         return float(self.mean[5] * _DOUBT[5])
 
-    @property
-    def linear(self) -> bool:
-        """Whether what is believed is so near to what deployments were laid for that what lies
-        answers linearly; to the robot's place it always does."""
-        apart = np.delete(self.account.mean - self.about, _PLACE)
-        return bool(np.abs(apart).max() <= _LINEAR)
+    def _linear(self, mean: np.ndarray) -> bool:
+        """Whether that is so near to what deployments were laid for that what lies answers
+        linearly; to the robot's place it always does."""
+        return bool(np.abs(np.delete(mean - self.about, _PLACE)).max() <= _LINEAR)
 
     def drawn(self, count: int) -> np.ndarray:
         """(2 count, n) of what may be wrong, beside what is believed: in pairs that lie opposite
@@ -193,17 +188,20 @@ class Beliefs:
         path: Trajectory,
         more: Directions | None = None,
         placed: np.ndarray | None = None,
+        mean: np.ndarray | None = None,
         **options,
     ) -> Course[Laid]:
-        """What is believed to lie at the end of a path, and its derivatives by all that is believed
-        [m/deviation], and after these along `more`; all of it `placed` as in `trial`.
+        """What is believed to lie at the end of a path, or by another `mean`, and its derivatives
+        by all that is believed [m/deviation], and after these along `more`; all of it `placed` as
+        in `trial`.
 
         As long as what is believed is nearly what deployments were laid for, what lies answers
         linearly, and these go on from where they have come to.
         """
-        if not self.linear:
-            self.about = self.account.mean
-        apart = self.account.mean - self.about
+        mean = self.account.mean if mean is None else mean
+        if not self._linear(mean):
+            self.about = mean
+        apart = mean - self.about
         directions = self._directions(path)
         directions = directions if more is None else directions + more
         mesh = meshed_to_the_end(options.pop("discretisation", _MESH), self.pattern)
@@ -228,20 +226,32 @@ class Beliefs:
         square of what lies against what was believed before [m], and what is believed to lie since.
         Nothing has changed since the last look if the grip stood `still` ever since."""
         prior, misfit = self.accounts, None
-        # A Kalman filter, iterated: derivatives are those of nearly what is believed in the end.
-        for _ in range(_ITERATIONS):
+        for _ in range(_TOGETHER):
             laid = yield from self.felt(path, **options)
-            before, told = self.account.mean, prior
-            for k, seen in enumerate(pictures):
-                information, pull, residual = told_by(laid, s, seen)
-                told = [one.after(before, information, pull, still or k > 0) for one in told]
-                if misfit is None:
-                    misfit = float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
-            self.accounts = told
-            if self.linear:
-                step = self.account.mean - before
-                moved = laid.centerline + np.tensordot(step, laid.tangent, 1)
-                return misfit, replace(laid, centerline=moved)
+            if misfit is None:
+                residual = told_by(laid, s, pictures[0])[2][: pictures[0].laid, :2]
+                misfit = float(np.sqrt(np.mean(residual**2)))
+            here = self.account.mean
+            self.accounts = [_told(one, here, laid, s, pictures, still) for one in prior]
+            step = self.account.mean - here
+            if _enough(self.account, self.about):
+                lies = laid.centerline + np.tensordot(step, laid.tangent, 1)
+                return misfit, replace(laid, centerline=lies)
+            if np.abs(step).max() > _MOST_TOGETHER:
+                break
+        # Each by derivatives of its own: those of their mean favour which of them bends more.
+        told = []
+        for one in prior:
+            here = one.mean
+            for _ in range(_ITERATIONS):
+                laid = yield from self.felt(path, mean=here, **options)
+                found = _told(one, here, laid, s, pictures, still)
+                if _enough(found, here):
+                    break
+                step = found.mean - here
+                here = here + min(1.0, _MOST_CHANGE / float(np.abs(step).max())) * step
+            told.append(found)
+        self.accounts = told
         return misfit, (yield from self.felt(path, **options))
 
     def under(self, arc_length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -273,9 +283,38 @@ def meshed_to_the_end(mesh: Discretisation, pattern: Pattern) -> Discretisation:
     return replace(mesh, laid=pattern.length + pattern.remainder_length)
 
 
-def told_by(laid: Laid, s: float, seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _all_of(accounts: list[Account]) -> Account:
+    """The mean of all, as likely as they are, and the covariance about it."""
+    evidence = logsumexp([one.evidence for one in accounts])
+    chance = np.exp([one.evidence - evidence for one in accounts])
+    means = np.array([one.mean for one in accounts])
+    apart = means - chance @ means
+    covariance = np.tensordot(chance, [one.covariance for one in accounts], 1)
+    return Account(chance @ means, covariance + (apart.T * chance) @ apart, float(evidence))
+
+
+def _enough(account: Account, here: np.ndarray) -> bool:
+    """Whether derivatives of what lies for beliefs `here` (n,) are those for an account, as far as
+    it is sure; by the robot's place what lies always changes alike."""
+    enough = np.maximum(_LINEAR, _ENOUGH * np.sqrt(np.diag(account.covariance)))
+    return bool(np.delete(np.abs(account.mean - here) <= enough, _PLACE).all())
+
+
+def _told(
+    account: Account, here: np.ndarray, laid: Laid, s: float, pictures: list[Seen], still: bool
+) -> Account:
+    """An account after the pictures of a look, by what lies for the beliefs `here` (n,)."""
+    for k, seen in enumerate(pictures):
+        information, pull, _, unlikely = told_by(laid, s, seen)
+        account = account.after(here, information, pull, still or k > 0)
+        account = replace(account, evidence=account.evidence - unlikely)
+    return account
+
+
+def told_by(laid: Laid, s: float, seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """What is seen when `s` [m] is laid tells of what is believed to lie, by its derivatives: the
-    information (n, n) and pull (n,) about these, and the residuals (point, 3) [m]."""
+    information (n, n) and pull (n,) about these, the residuals (point, 3) [m], and how unlikely
+    these are: the negative logarithm of that, but for a constant."""
     residual = seen.place - interpolated(laid.arc_length, laid.centerline, seen.arc_length)
     rates = [interpolated(laid.arc_length, c, seen.arc_length) for c in laid.tangent]
     matrix = np.reshape(rates, (len(rates), -1)).T
@@ -283,7 +322,9 @@ def told_by(laid: Laid, s: float, seen: Seen) -> tuple[np.ndarray, np.ndarray, n
     weight = 1.0 / (seen.deviation**2 + model[:, None] ** 2)
     weight[seen.arc_length < s - _MEMORY] = 0.0
     weight = weight.ravel()
-    return (matrix.T * weight) @ matrix, (matrix.T * weight) @ residual.ravel(), residual
+    apart = residual.ravel()
+    pulled = matrix.T * weight
+    return pulled @ matrix, pulled @ apart, residual, 0.5 * float(weight @ apart**2)
 
 
 def doubted(laid: Laid, pattern: Pattern, s: float, seen: Seen, aside: np.ndarray) -> float:
