@@ -12,7 +12,6 @@ from wrod.bench.newton_held import CABLE, HeldDer, HeldVbd
 from wrod.bench.newton_piles import piles
 
 _WARM_UP = 4  # steps that compile and record
-_VBD_WORLDS = 64  # at most: Newton's builder takes its time
 
 
 def tip_after(held, seconds: float) -> tuple[np.ndarray, float]:
@@ -151,10 +150,8 @@ def measure(
         lambda: graph_of_a_step(device, worlds, edges),
         lambda: gradients_of_steps(device, worlds, edges),
         lambda: piles(device, cables, edges, round(240 * seconds)),
-        lambda: worlds_of_cables(device, min(worlds, _VBD_WORLDS), edges, seconds, (10,)),
-        lambda: worlds_of_cables(
-            device, min(worlds, _VBD_WORLDS), edges, seconds, (10,), armed=True
-        ),
+        lambda: worlds_of_cables(device, worlds, edges, seconds, (10,)),
+        lambda: worlds_of_cables(device, worlds, edges, seconds, (10,), armed=True),
     ]
     for scene in scenes:
         try:
