@@ -49,6 +49,29 @@ def test_what_is_described_at_rest_stays():
     assert settle(solver, state) == pytest.approx(first, abs=1e-6)
 
 
+def test_joints_stiffness_and_damping_are_those_of_newton():
+    """What Newton's own `add_rod` makes of a section's rigidities and a damping, given to ours, is
+    the section again; Newton's defaults fill what is not said; unequal edges are refused."""
+    line = np.linspace(0.0, 0.3, 7)[:, None] * [1.0, 0.0, 0.0]
+    stiff = newton.Rod(line, **STIFF)
+    theirs = newton.ModelBuilder()
+    _, joints = theirs.add_rod(rod=stiff, bend_damping=3e-5)
+    of_joint = theirs.joint_target_ke[theirs.joint_qd_start[joints[2]] :]
+    stretch, bend, twist = of_joint[2], of_joint[3], of_joint[5]
+    given = dict(stretch_stiffness=stretch, bend_stiffness=bend, twist_stiffness=twist)
+    bare = newton.Rod(line, radius=STIFF["radius"])
+    model, *_ = built(stiff, bare, **given, bend_damping=3e-5)
+    for name in ("edge_stretching", "node_bending", "node_twisting"):
+        found, said = np.split(getattr(model.der, f"{name}_stiffness").numpy(), 2)
+        assert said == pytest.approx(found, rel=1e-6)
+    assert model.der.rod_internal_damping.numpy()[1] == pytest.approx(3e-5 / bend)
+    model, *_ = built(bare, bend_stiffness=bend)
+    assert model.der.node_twisting_stiffness.numpy()[3] == pytest.approx(bend * 0.05)
+    assert model.der.edge_stretching_stiffness.numpy()[3] == pytest.approx(1e5 * 0.05)
+    with pytest.raises(RodError, match="as long"):
+        built(newton.Rod(line**2, **STIFF), bend_stiffness=1.0)
+
+
 def test_rest_shapes_are_taken():
     """A straight rod that wants to be an arc becomes one; an arc that wants to be straight, too."""
     s = np.linspace(0.0, 0.2, 21)

@@ -15,6 +15,7 @@ from wrod.newton_solver.meshed import MeshedRod
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
+_OF_JOINT = arguments.optional(arguments.number(above=0.0))
 _COLOR = arguments.several(arguments.number(0.0, 1.0), least=3)
 
 
@@ -120,9 +121,21 @@ class RodBuilding:
         RodError,
         rod=arguments.like("a newton.Rod", "points", "edges", "quaternions"),
         density=arguments.number(0.0, 1e6),
+        stretch_stiffness=_OF_JOINT,
+        bend_stiffness=_OF_JOINT,
+        twist_stiffness=_OF_JOINT,
+        bend_damping=arguments.optional(arguments.number(0.0, 1e12)),
     )
     def add_newton_rod(
-        builder: newton.ModelBuilder, rod: newton.Rod, *, density: float = 1000.0, **options
+        builder: newton.ModelBuilder,
+        rod: newton.Rod,
+        *,
+        density: float = 1000.0,
+        stretch_stiffness: float | None = None,
+        bend_stiffness: float | None = None,
+        twist_stiffness: float | None = None,
+        bend_damping: float | None = None,
+        **options,
     ) -> list[int]:
         """Add what a `newton.Rod` describes: a chain, a ring (`closed`) or branches (`edges`).
 
@@ -132,8 +145,16 @@ class RodBuilding:
 
         Args:
             builder: The model builder.
-            rod: The description, with a stiffness.
+            rod: The description.
             density: Mass per volume of the rod [kg/m^3].
+            stretch_stiffness: Of each joint, as Newton's `add_rod` takes it [N/m]: times the length
+                of an edge, EA. Defaults to the description's, or to Newton's 1e5.
+            bend_stiffness: Of each joint [N m/rad]: times the length of an edge, EI. Defaults to
+                the description's.
+            twist_stiffness: Of each joint [N m/rad]: times the length of an edge, GJ. Defaults to
+                the description's, or to `bend_stiffness`.
+            bend_damping: Of each joint [N m s/rad]: over its stiffness, the Kelvin-Voigt time
+                `internal_damping`, which all strains have in common.
             options: Of `add_rod`: air_damping, internal_damping, visible, color, label,
                 touches_rods; of a chain start, start_body, end, end_body too.
 
@@ -141,9 +162,14 @@ class RodBuilding:
             The indices of the rods, one for each chain between branches.
 
         Raises:
-            RodError: The description has no stiffness, or an option is unusable.
+            RodError: Nothing says how stiff it is, a joint's stiffness is given of edges that are
+                not as long as each other, or an option is unusable.
         """
-        return add_described(builder, rod, density, RodBuilding.add_rod, **options)
+        joints = dict(
+            stretch_stiffness=stretch_stiffness, bend_stiffness=bend_stiffness,
+            twist_stiffness=twist_stiffness, bend_damping=bend_damping,
+        )  # fmt: skip
+        return add_described(builder, rod, density, joints, RodBuilding.add_rod, **options)
 
     @staticmethod
     @arguments.checked(

@@ -24,10 +24,14 @@ _FIELDS = {
 }  # fmt: skip
 # What joins the ends of a ring or of branches is a body; its share of the mass of one edge.
 _JOINT_MASS = 0.01
+_STRETCH = 1e5  # of a joint, where nothing says how stiff it is [N/m]: Newton's default
 
 
-def add_described(builder, described: newton.Rod, density: float, add, **options) -> list[int]:
-    """`SolverDER.add_newton_rod`, which documents the arguments; `add` is `SolverDER.add_rod`."""
+def add_described(
+    builder, described: newton.Rod, density: float, joints: dict, add, **options
+) -> list[int]:
+    """`SolverDER.add_newton_rod`, which documents the arguments, `joints` those of Newton's
+    `add_rod`; `add` is `SolverDER.add_rod`."""
     check_fields(described, RodError, **_FIELDS)
     points = np.array(described.points, dtype=np.float64)
     if not ((np.array(described.edges) >= 0) & (np.array(described.edges) < len(points))).all():
@@ -43,10 +47,15 @@ def add_described(builder, described: newton.Rod, density: float, add, **options
         rest_directors = Rotation.from_quat(described.rest_quaternions).as_matrix()[:, :, 0]
     chains = _chains(edges)
     ends = [node for chain in chains for node in (chain[0][0], chain[-1][1])]
-    joints = {node: -1 for node in ends if ends.count(node) > 1}
-    model = _model(described, points, edges, density)
-    for node in joints:
-        joints[node] = _add_joint(builder, points, edges, node, model)
+    model = _model(described, points, edges, density, joints)
+    if joints["bend_damping"] is not None:
+        if options.get("internal_damping") is not None:
+            raise RodError("give bend_damping or internal_damping: both say the same")
+        stiffness = model.bending_stiffness[0].values[0] * len(edges) / model.length
+        options["internal_damping"] = joints["bend_damping"] / float(stiffness)
+    met = {node: -1 for node in ends if ends.count(node) > 1}
+    for node in met:
+        met[node] = _add_joint(builder, points, edges, node, model)
     added = []
     label = options.pop("label", None)
     for k, chain in enumerate(chains):
@@ -62,8 +71,8 @@ def add_described(builder, described: newton.Rod, density: float, add, **options
         curvature, twist = rest.strains(ring, straight=described.rest_straight)
         held = {}
         for side, node in (("start", nodes[0]), ("end", nodes[-1])):
-            if node in joints:
-                held |= {side: "clamped", f"{side}_body": joints[node]}
+            if node in met:
+                held |= {side: "clamped", f"{side}_body": met[node]}
         name = label if label is None or len(chains) == 1 else f"{label}/{k}"
         added.append(
             add(
@@ -147,30 +156,41 @@ def _chains(edges: list[tuple[int, int]]) -> list[list[tuple[int, int, int]]]:
     return out
 
 
-def _model(described: newton.Rod, points, edges, density: float) -> RodModel:
-    radius = 0.1 if described.radius is None else described.radius
+def _rigidities(described: newton.Rod, area: float) -> list[float | None]:
+    """Of the section, against stretching [N], bending and twisting [N m^2]; None if not given."""
     if described.bend_rigidity is not None:
-        stretch, bend, twist = (
-            getattr(described, f"{name}_rigidity") for name in ("stretch", "bend", "twist")
-        )
-    elif described.youngs_modulus is not None:
-        young, shear = described.youngs_modulus, described.shear_modulus
-        if shear is None:
-            shear = young / (2.0 * (1.0 + described.poissons_ratio))
-        area = np.pi * radius**2
-        stretch, bend, twist = (
-            young * area,
-            young * area * radius**2 / 4,
-            shear * area * radius**2 / 2,
-        )
-    else:
-        raise RodError(
-            "the newton.Rod has no stiffness; give it youngs_modulus and poissons_ratio, or its "
-            "four section rigidities"
-        )
+        return [getattr(described, f"{name}_rigidity") for name in ("stretch", "bend", "twist")]
+    young, shear = described.youngs_modulus, described.shear_modulus
+    if young is None:
+        return [None] * 3
+    if shear is None:
+        shear = young / (2.0 * (1.0 + described.poissons_ratio))
+    second = area**2 / (4.0 * np.pi)
+    return [young * area, young * second, 2.0 * shear * second]
+
+
+def _model(described: newton.Rod, points, edges, density: float, joints: dict) -> RodModel:
+    radius = 0.1 if described.radius is None else described.radius
     ends = points[np.array(edges)]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    given = [joints[f"{name}_stiffness"] for name in ("stretch", "bend", "twist")]
+    found = _rigidities(described, np.pi * radius**2)
+    if any(k is not None for k in given) and np.ptp(lengths) > 1e-3 * lengths.max():
+        raise RodError(
+            "a joint's stiffness says what the rod is made of where all edges are as long; these "
+            f"are {lengths.min():g} to {lengths.max():g} m: give the newton.Rod its rigidities"
+        )
+    found = [r if k is None else k * lengths.mean() for k, r in zip(given, found, strict=True)]
+    stretch, bend, twist = found
+    if bend is None:
+        raise RodError(
+            "the newton.Rod has no stiffness; give it youngs_modulus and poissons_ratio, its four "
+            "section rigidities, or bend_stiffness"
+        )
+    twist = bend if twist is None else twist
+    stretch = _STRETCH * lengths.mean() if stretch is None else stretch
     return RodModel(
-        length=float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum()),
+        length=float(lengths.sum()),
         bending_stiffness=(bend, bend), twisting_stiffness=twist, stretching_stiffness=stretch,
         line_mass=density * np.pi * radius**2, radius=radius,
     )  # fmt: skip
