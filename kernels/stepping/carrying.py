@@ -238,3 +238,19 @@ def add_wrenches(
     body_f[b] = body_f[b] + wp.spatial_vector(
         float(f[0]), float(f[1]), float(f[2]), float(t[0]), float(t[1]), float(t[2])
     )
+
+
+@wp.kernel
+def tell_wrenches(
+    # In:
+    share: wp.float64,
+    force: wp.array(dtype=wp.vec3d),
+    torque: wp.array(dtype=wp.vec3d),
+    # In and out:
+    told_force: wp.array(dtype=wp.vec3d),
+    told_torque: wp.array(dtype=wp.vec3d),
+):
+    """Go by a share of the way from what was told to forces and torques. Launched over bodies."""
+    b = wp.tid()
+    told_force[b] = share * force[b] + (wp.float64(1.0) - share) * told_force[b]
+    told_torque[b] = share * torque[b] + (wp.float64(1.0) - share) * told_torque[b]

@@ -16,13 +16,13 @@ with needed_extras():
 
 from newton.solvers import SolverBase
 
-from wrod.kernels.stepping.carrying import add_wrenches
 from wrod.newton_solver import attributes, notes
 from wrod.newton_solver.adding import RodBuilding
 from wrod.newton_solver.body_contact import colliding_bodies
 from wrod.newton_solver.gradients import Gradients, leave_gradients
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.holds import Holds
+from wrod.newton_solver.loads import Loads
 from wrod.newton_solver.owned import choose_bodies
 from wrod.newton_solver.rows import find_rows
 from wrod.newton_solver.shapes import ModelShapes
@@ -85,6 +85,11 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
 
     ROD_PROPERTIES = 1 << 24
     """Bit for `notify_model_changed`: `model.der` was changed."""
+
+    load_relaxation = 1.0
+    """What part of the way to `body_wrenches` the loads of `add_body_forces` go in a step: less
+    than 2 / (1 + 4 m / M), by "euler" 2 / (1 + m / M), for a cable of m [kg] that what moves with
+    its hand, M, would else be too light for."""
 
     @arguments.checked(
         RodError,
@@ -168,10 +173,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         self._initial = {name: wp.clone(getattr(der, name)) for name in attributes.STATE}
         self._mourned = np.zeros(self.rod_count, dtype=bool)
         self._poses = tuple(wp.clone(model.body_q, requires_grad=False) for _ in range(2))
-        self._force, self._torque = (
-            wp.zeros(model.body_count, dtype=wp.vec3d, device=model.device) for _ in range(2)
-        )
-        self._loads_taken = self._fell = self._shook = False
+        self._loads = Loads(model)
+        self._fell = self._shook = False
         self._steps = 0
         self._last_out: weakref.ref | None = None
         self._build()
@@ -275,9 +278,9 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         if self._follows_old_rods(state_in, state_out):
             notes.rods_of_long_ago()
         self._steps += 1
-        if self._others and self._steps == _PATIENCE and not self._loads_taken:
+        if self._others and self._steps == _PATIENCE and not self._loads.taken:
             notes.nobody_feels(self.model, self._others)
-        if self._loads_taken and device.is_cpu and not (self._shook or device.is_capturing):
+        if self._loads.taken and device.is_cpu and not (self._shook or device.is_capturing):
             longest = [g.shape_contact.shaken(dt) for g in self._groups if g.shape_contact]
             if any(longest):
                 self._shook = True
@@ -297,11 +300,9 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         if put is not None:
             put(before, after)
         wp.copy(before, after)
-        self._force.zero_()
-        self._torque.zero_()
         for group in self._groups:
             group.write(state_out)
-            group.add_loads(self._force, self._torque)
+        self._loads.measure(self._groups, self.load_relaxation)
         if device.is_cpu and not device.is_capturing:
             self._listen()
 
@@ -326,11 +327,12 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
     def body_wrenches(self) -> np.ndarray:
         """(body, 6) what rods did at the end of the last step to the bodies that hold or touch them
         and that others move: force [N], and torque about the centre of mass [N m]."""
-        self._loads_taken = True
-        return np.concatenate([self._force.numpy(), self._torque.numpy()], axis=1)
+        self._loads.taken = True
+        return self._loads.wrenches()
 
     def add_body_forces(self, state: newton.State) -> None:
-        """Add `body_wrenches` to `state.body_f`, for the solver that moves these bodies next.
+        """Add `body_wrenches` to `state.body_f`, for the solver that moves these bodies next;
+        followed by `load_relaxation`.
 
         Args:
             state: The state that the other solver steps from.
@@ -339,14 +341,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
             RodError: A tape is recorded, on which these loads have no gradients.
         """
         self._gradients.refuse("loads of rods on bodies that others move")
-        self._loads_taken = True
-        wp.launch(
-            add_wrenches,
-            dim=self.model.body_count,
-            inputs=[self._force, self._torque],
-            outputs=[state.body_f],
-            device=self.model.device,
-        )
+        self._loads.taken = True
+        self._loads.add_to(state)
 
     def _listen(self) -> None:
         """Speak of rods that were cut out since last heard of, without waiting for the device."""
