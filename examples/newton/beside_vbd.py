@@ -37,7 +37,7 @@ def der_error(name: str, e, module, args) -> float:
     if name == "arm_carries_cable":
         return abs(e.hanging[0] / e.hanging[1] - 1.0)
     if name == "gripper_picks_cable":
-        return float(np.abs(e.hanging[0][:3] / e.hanging[1] - 1.0).max())
+        return float(np.abs(e.hanging[0][module.BEAR] / e.hanging[1][module.BEAR] - 1.0).max())
     if name == "y_junction":
         return float(np.abs(tips_of(e) - fine(module, args, tips_of)).max()) / module.BRANCH
     if name == "twist_transfer":

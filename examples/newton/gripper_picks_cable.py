@@ -1,11 +1,11 @@
-"""An arm that SolverMuJoCo moves picks a cable up between two fingers and lays it down elsewhere.
+"""A Panda that SolverMuJoCo moves picks a cable up between two fingers and lays it down elsewhere.
 
 Nothing ties the cable to the gripper: two fingers close on it, and friction holds it. Fingers, arm
 and cable move on in turn; `add_body_forces` gives the first two what the cable did.
 
 Success criteria:
 - Half way the cable hangs between the fingers, nowhere near the table, and does not slip: what it
-  weighs, and all links, are in the torques of shoulder, elbow and wrist, within 1 %.
+  weighs, and all links, are in the torques of the joints that bear them, within 1 %.
 - Each finger is pressed by as much as the other, and by what its joint pushes, within 2 %.
 - At the end the fingers are open and away, and the cable lies on the table, 0.1 m further on.
 
@@ -13,44 +13,69 @@ Run: `python examples/newton/gripper_picks_cable.py` (`--viewer null --test` wit
 """
 
 from itertools import pairwise
+from xml.etree import ElementTree
 
 import newton
 import newton.examples
 import numpy as np
 import warp as wp
+from scipy.spatial.transform import Rotation
+from wrod.scenes.arms import arm_urdf
+from wrod.scenes.urdf_writer import box, joint_element, link_element
 
 import wrod
 
-REACH, HAND, FINGER = 0.3, 0.1, 0.04  # lengths of the links, the hand, and its fingers [m]
-SHOULDER = 0.4  # height over the table [m]
+# Shoulder to elbow and elbow to wrist, as (across, along) [m]; the shoulder's height, and the way
+# from the wrist to the flange, across and along the hand.
+UPPER, FORE, SHOULDER, ASIDE, FLANGE = (0.0825, 0.316), (-0.0825, 0.384), 0.333, 0.088, 0.107
+PALM, FINGER = 0.08, 0.04  # lengths of the hand and its fingers [m]
 RADIUS, LENGTH, EDGES = 0.005, 0.25, 25
-STIFFNESS, DAMPING = (600.0, 300.0, 100.0), (25.0, 12.0, 4.0)  # of shoulder, elbow, wrist
+STIFFNESS, DAMPING = 2e4, 400.0  # of the arm's joints [N m/rad], [N m s/rad]
 GRIP, GRIP_DAMPING, MOTOR = 2000.0, 80.0, 0.2  # of a finger [N/m, N s/m, kg]
 OPEN, CLOSED = 0.022, 0.006  # where fingers are told to be; they meet the cable at 0.009 [m]
 SUBSTEPS = 16
+BEAR = [1, 3, 5]  # shoulder, elbow and wrist, which bear weights in this plane
 # Times [s], middle of the fingers (x, z) over the table, and where the fingers are told to be.
 KEYS = [
-    (0.0, 0.36, 0.12, OPEN),
-    (0.7, 0.36, 0.021, OPEN),
-    (1.0, 0.36, 0.021, CLOSED),
-    (1.2, 0.36, 0.021, CLOSED),
-    (2.2, 0.36, 0.27, CLOSED),
-    (3.2, 0.36, 0.27, CLOSED),
-    (4.4, 0.46, 0.023, CLOSED),
-    (4.6, 0.46, 0.023, CLOSED),
-    (4.9, 0.46, 0.023, OPEN),
-    (5.6, 0.46, 0.12, OPEN),
+    (0.0, 0.46, 0.12, OPEN),
+    (0.7, 0.46, 0.021, OPEN),
+    (1.0, 0.46, 0.021, CLOSED),
+    (1.2, 0.46, 0.021, CLOSED),
+    (2.2, 0.46, 0.27, CLOSED),
+    (3.2, 0.46, 0.27, CLOSED),
+    (4.4, 0.56, 0.023, CLOSED),
+    (4.6, 0.56, 0.023, CLOSED),
+    (4.9, 0.56, 0.023, OPEN),
+    (5.6, 0.56, 0.12, OPEN),
 ]
-HANGING = 3.2
+FINGERS = f"""
+<robot>
+  <link name="finger_{{side}}">
+    <inertial><mass value="0.05"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5"/></inertial>
+    <collision><geometry><box size="0.024 0.008 {FINGER}"/></geometry></collision>
+  </link>
+  <joint name="grip_{{side}}" type="prismatic">
+    <parent link="palm"/><child link="finger_{{side}}"/>
+    <origin xyz="0 0 {PALM + 0.5 * FINGER}"/><axis xyz="0 {{side}} 0"/>
+    <limit lower="0" upper="0.04" effort="200" velocity="0.2"/>
+  </joint>
+</robot>
+"""
+FIRST, HANGING = 0.38, 3.2  # where the cable begins [m], and when it hangs [s]
 
 
 def joints(x: float, z: float) -> np.ndarray:
-    """Shoulder, elbow and wrist angles with the fingers at x, z, pointing down."""
-    up = z + HAND + 0.5 * FINGER - SHOULDER
-    r2 = x**2 + up**2
-    elbow = np.arccos(np.clip((r2 - 2 * REACH**2) / (2 * REACH**2), -1.0, 1.0))
-    shoulder = np.arctan2(-up, x) - np.arctan2(np.sin(elbow), 1.0 + np.cos(elbow))
-    return np.array([shoulder, elbow, 0.5 * np.pi - shoulder - elbow])
+    """(7,) angles of a Panda that stays in a plane, its fingers at x, z, pointing down."""
+    wrist = np.array([x - ASIDE, z + FLANGE + PALM + 0.5 * FINGER - SHOULDER])
+    upper, fore, far = np.hypot(*UPPER), np.hypot(*FORE), np.hypot(*wrist)
+    # The triangle of shoulder, elbow and wrist; pitches are from upright forwards.
+    inside = np.arccos((upper**2 + far**2 - fore**2) / (2.0 * upper * far))
+    first = np.arctan2(*wrist) - inside
+    elbow = upper * np.array([np.sin(first), np.cos(first)])
+    second = np.arctan2(*(wrist - elbow))
+    q2 = first - np.arctan2(*UPPER)
+    pitch = second - np.arctan2(*FORE)
+    return np.array([0.0, q2, 0.0, q2 - pitch, 0.0, pitch, 0.0])
 
 
 class Example:
@@ -64,12 +89,12 @@ class Example:
         wrod.SolverDER.register_custom_attributes(builder)
         builder.default_shape_cfg.mu = 0.5
         builder.add_shape_box(
-            -1, xform=wp.transform((0.4, 0.0, -0.02), wp.quat_identity()), hx=0.5, hy=0.2, hz=0.02,
+            -1, xform=wp.transform((0.6, 0.0, -0.02), wp.quat_identity()), hx=0.4, hy=0.2, hz=0.02,
             label="table",
         )  # fmt: skip
         self._add_arm(builder)
         points = np.zeros((EDGES + 1, 3))
-        points[:, 0] = 0.28 + np.linspace(0.0, LENGTH, EDGES + 1)
+        points[:, 0] = FIRST + np.linspace(0.0, LENGTH, EDGES + 1)
         points[:, 2] = RADIUS
         wrod.SolverDER.add_rod(
             builder, points, self.material, internal_damping=0.02, air_damping=1.0,
@@ -89,38 +114,26 @@ class Example:
         self.viewer.set_model(self.model)
 
     def _add_arm(self, builder) -> None:
-        bare = newton.ModelBuilder.ShapeConfig(density=600.0, has_shape_collision=False)
-        rough = newton.ModelBuilder.ShapeConfig(density=600.0, mu=1.0)
-        self.links, added = [], []
-        parent, before = -1, (0.0, 0.0, SHOULDER)
-        for k, length in enumerate((REACH, REACH, HAND)):
-            link = builder.add_link()
-            builder.add_shape_box(link, hx=0.5 * length, hy=0.02, hz=0.02, cfg=bare)
-            added.append(
-                builder.add_joint_revolute(
-                    parent, link, axis=wp.vec3(0.0, 1.0, 0.0),
-                    parent_xform=wp.transform(before, wp.quat_identity()),
-                    child_xform=wp.transform((-0.5 * length, 0.0, 0.0), wp.quat_identity()),
-                    target_ke=STIFFNESS[k], target_kd=DAMPING[k],
-                    actuator_mode=newton.JointTargetMode.POSITION,
-                )
-            )  # fmt: skip
-            self.links.append(link)
-            parent, before = link, (0.5 * length, 0.0, 0.0)
-        for side in (1.0, -1.0):
-            finger = builder.add_link()
-            builder.add_shape_box(finger, hx=0.5 * FINGER, hy=0.004, hz=0.012, cfg=rough)
-            place = (0.5 * (HAND + FINGER), 0.0, 0.0)
-            added.append(
-                builder.add_joint_prismatic(
-                    parent, finger, axis=wp.vec3(0.0, side, 0.0),
-                    parent_xform=wp.transform(place, wp.quat_identity()),
-                    target_ke=GRIP, target_kd=GRIP_DAMPING, armature=MOTOR,
-                    actuator_mode=newton.JointTargetMode.POSITION,
-                )
-            )  # fmt: skip
-            self.links.append(finger)
-        builder.add_articulation(added)
+        """wrod's Panda, with a hand of two fingers on its last link."""
+        panda = arm_urdf("panda")
+        palm = box((0.04, 0.1, PALM), (0.0, 0.0, 0.5 * PALM))
+        panda.append(link_element("palm", 0.3, [palm]))
+        panda.append(joint_element("hand", "panda_link8", "palm", (0.0, 0.0, 0.0)))
+        for side in (1, -1):
+            panda.extend(ElementTree.fromstring(FINGERS.format(side=side)))
+        urdf = ElementTree.tostring(panda, encoding="unicode")
+        builder.add_urdf(urdf, floating=False, collapse_fixed_joints=True)
+        self.links = [k for k, label in enumerate(builder.body_label) if label != "table"]
+        for dof in range(9):
+            finger = dof > 6
+            builder.joint_target_ke[dof] = GRIP if finger else STIFFNESS
+            builder.joint_target_kd[dof] = GRIP_DAMPING if finger else DAMPING
+            builder.joint_armature[dof] = MOTOR if finger else 0.0
+            builder.joint_target_mode[dof] = int(newton.JointTargetMode.POSITION)
+        for shape, body in enumerate(builder.shape_body):
+            builder.shape_material_mu[shape] = 1.0 if body in self.links[-2:] else 0.5
+            if body in self.links[:-2]:
+                builder.shape_flags[shape] &= ~int(newton.ShapeFlags.COLLIDE_SHAPES)
 
     def target(self, time: float) -> np.ndarray:
         """Joint angles and places of the fingers at a time, smooth between the keys."""
@@ -152,27 +165,26 @@ class Example:
         return self.state.der.node_q.numpy()
 
     def efforts(self) -> np.ndarray:
-        """What the joints' springs do [N m, N]."""
-        stiffness, damping = (*STIFFNESS, GRIP, GRIP), (*DAMPING, GRIP_DAMPING, GRIP_DAMPING)
+        """(9,) what the joints' springs do [N m, N]."""
+        stiffness, damping = np.repeat([[STIFFNESS, GRIP], [DAMPING, GRIP_DAMPING]], [7, 2], axis=1)
         error = self.target(self.sim_time) - self.state.joint_q.numpy()
         return stiffness * error - damping * self.state.joint_qd.numpy()
 
     def moments(self) -> np.ndarray:
-        """(3,) what shoulder, elbow and wrist need for the weights of links and cable [N m]."""
-        mass, place = self.model.body_mass.numpy()[self.links], self.state.body_q.numpy()
-        q, at, pitch = self.state.joint_q.numpy()[:3], 0.0, 0.0
+        """(7,) what the joints need for the weights of links and cable [N m]."""
+        pose = self.state.body_q.numpy()[self.links].astype(float)
+        turn = Rotation.from_quat(pose[:, 3:])
+        mass = self.model.body_mass.numpy()[self.links]
+        center = pose[:, :3] + turn.apply(self.model.body_com.numpy()[self.links])
         cable, out = self.model.der.node_mass.numpy(), []
-        for k in range(3):
-            links = self.links[k:]
-            turning = mass[k:] @ (place[links, 0] - at) + cable @ (self.nodes()[:, 0] - at)
-            out.append(-9.81 * turning)
-            pitch += q[k]
-            at += REACH * np.cos(pitch)
+        for k, axis in enumerate(turn.apply([0.0, 0.0, 1.0])[:7]):
+            arms = mass[k:] @ (center[k:] - pose[k, :3]) + cable @ (self.nodes() - pose[k, :3])
+            out.append(9.81 * axis @ np.cross(arms, [0.0, 0.0, 1.0]))
         return np.array(out)
 
     def pressures(self) -> np.ndarray:
         """(2,) how hard the cable presses on the fingers [N]."""
-        return self.cable.body_wrenches()[self.links[3:], 1] * [1.0, -1.0]
+        return self.cable.body_wrenches()[self.links[-2:], 1] * [-1.0, 1.0]
 
     def render(self) -> None:
         self.viewer.begin_frame(self.sim_time)
@@ -183,16 +195,16 @@ class Example:
         if self.cable.diverged.any():
             raise ValueError("the cable diverged")
         efforts, moments, pressures, hung = self.hanging
-        if np.abs(efforts[:3] / moments - 1.0).max() > 0.01:
-            raise ValueError(f"the joints do {efforts[:3]} N m, the weights need {moments} N m")
-        if np.abs(pressures / -efforts[3:] - 1.0).max() > 0.02 or pressures.min() < 1.0:
-            raise ValueError(f"the cable presses by {pressures} N, the fingers by {-efforts[3:]} N")
+        if np.abs(efforts[BEAR] / moments[BEAR] - 1.0).max() > 0.01:
+            raise ValueError(f"the joints do {efforts[:7]} N m, the weights need {moments} N m")
+        if np.abs(pressures / -efforts[7:] - 1.0).max() > 0.02 or pressures.min() < 1.0:
+            raise ValueError(f"the cable presses by {pressures} N, the fingers by {-efforts[7:]} N")
         if hung[:, 2].min() < 0.05:
             raise ValueError(f"the cable did not leave the table: {hung[:, 2].min()} m over it")
         q = self.nodes()
         if np.abs(q[:, 2] - RADIUS).max() > 0.2 * RADIUS:
             raise ValueError(f"the cable does not lie on the table: {q[:, 2]} m over it")
-        if abs(q[:, 0].mean() - (0.28 + 0.5 * LENGTH) - 0.1) > 0.02:
+        if abs(q[:, 0].mean() - (FIRST + 0.5 * LENGTH) - 0.1) > 0.02:
             raise ValueError(f"the cable lies around {q[:, 0].mean()} m")
 
 

@@ -34,8 +34,8 @@ SCENES = {
         ((-0.05, 0.75), (-0.2, 0.2), (0.0, 0.5)),
     ),
     "gripper_picks_cable": (
-        "Fingers pick a cable up", (0.9, 3.2, 5.6), (10, -80),
-        ((-0.05, 0.75), (-0.2, 0.2), (0.0, 0.5)),
+        "A Panda picks a cable up", (0.9, 3.2, 5.6), (10, -80),
+        ((-0.15, 0.75), (-0.2, 0.2), (0.0, 0.75)),
     ),
     "y_junction": (
         "A junction swings down", (0.02, 0.2, 7.0), (15, -60),
@@ -58,6 +58,8 @@ SCENES = {
         ((-0.15, 0.35), (-0.15, 0.25), (0.15, 0.65)),
     ),
 }  # fmt: skip
+
+STANDING = (newton.GeoType.CAPSULE, newton.GeoType.CYLINDER)
 
 
 def run(name: str, times, device: str) -> list:
@@ -84,16 +86,19 @@ def rods(example) -> list[np.ndarray]:
 
 
 def bodies(example) -> list[np.ndarray]:
-    """Both ends of the boxes and capsules on the bodies, but of cables' capsules."""
+    """Both ends of the solids on the bodies, but of cables' capsules."""
     model, out = example.model, []
-    poses = example.state.body_q.numpy()
-    kinds = model.shape_type.numpy()
+    poses, own = example.state.body_q.numpy(), model.shape_transform.numpy()
+    kinds, sizes = model.shape_type.numpy(), model.shape_scale.numpy()
     for shape, body in enumerate(model.shape_body.numpy()):
         if body >= 0 and "/capsule_" not in model.shape_label[shape]:
-            size, stands = model.shape_scale.numpy()[shape], kinds[shape] == newton.GeoType.CAPSULE
-            way = [0.0, 0.0, size[1]] if stands else [size[0], 0.0, 0.0]
-            way = Rotation.from_quat(poses[body, 3:]).apply(way)
-            out.append(poses[body, :3] + np.array([[-1.0], [1.0]]) * way)
+            size, turn = sizes[shape], Rotation.from_quat(poses[body, 3:])
+            middle = poses[body, :3] + turn.apply(own[shape, :3])
+            way = [size[0] * (kinds[shape] == newton.GeoType.BOX), 0.0, 0.0]
+            if kinds[shape] in STANDING:
+                way = [0.0, 0.0, size[1]]
+            way = (turn * Rotation.from_quat(own[shape, 3:])).apply(way)
+            out.append(middle + np.array([[-1.0], [1.0]]) * way)
     return out
 
 
@@ -108,7 +113,10 @@ def main(device: str = "cpu", out: str | Path = "out/examples") -> Path:
                 color = plt.cm.viridis(i / max(1, len(lines) - 1)) if len(found) == 1 else "#0b5fa5"
                 axes.plot(*q.T, color=color, alpha=0.25 + 0.75 * shade, lw=3.0)
             for ends in boxes:
-                axes.plot(*ends.T, color="#22262b", alpha=0.2 + 0.6 * shade, lw=6.0)
+                axes.plot(
+                    *ends.T, color="#22262b", alpha=0.2 + 0.6 * shade, lw=6.0,
+                    marker="o" if (ends[0] == ends[1]).all() else "",
+                )  # fmt: skip
         axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], title=title)
         axes.set_box_aspect([b - a for a, b in limits])
         axes.view_init(*view)
