@@ -1,4 +1,4 @@
-"""dismech-newton as a solver of `cosseratbench`: rods whose ends are held still.
+"""dismech-newton as a solver of `cosseratbench`: rods whose ends are held or moved, without a turn.
 
 It wants an older Newton than wrod does, and so an environment of its own, with wrod installed
 without what it depends on.
@@ -68,8 +68,9 @@ class DismechNewtonSolver:
 
     def run(self, scenario: Scenario, *, n_elements: int, n_frames: int) -> Trajectory:
         """Raises `cosseratbench.solver.Diverged`."""
-        if any(rod.motion(end) is not None for rod in scenario.rods for end in End):
-            raise NotImplementedError("ends that are held still")
+        motions = [rod.motion(end) for rod in scenario.rods for end in End]
+        if any(m and (m.slides_along or np.any(m.rotation)) for m in motions):
+            raise NotImplementedError("ends that do not turn or slide")
         options = self.settings(scenario, n_elements=n_elements, n_frames=n_frames)
         scene = _Scene(scenario, n_elements, options)
         times = np.linspace(0.0, scenario.duration, n_frames)
@@ -95,6 +96,8 @@ class _Scene:
         self._parts, self._given, places, rest = [], [], [], []
         self._load: list[tuple[int, tuple]] = []
         self._clamped: list[int] = []
+        self._driven: list[tuple] = []  # nodes, where they begin, and how they move
+        self._time = 0.0
         for rod in scenario.rods:
             place, length = self._add(scenario, rod, count, options["bend_damping_time"])
             places.append(place)
@@ -158,6 +161,10 @@ class _Scene:
         for end, node in ((End.START, first), (End.END, first + edges)):
             if rod.condition(end) is EndCondition.PINNED:
                 builder.particle_flags[node] &= ~newton.ParticleFlags.ACTIVE
+        for end, begin in ((End.START, 0), (End.END, edges - 1)):
+            if (motion := rod.motion(end)) is not None:
+                nodes = np.arange(begin, begin + 2)
+                self._driven.append((first + nodes, place[nodes], motion))
         inner = slice(first + ghosts[0], first + edges + 1 - ghosts[1])
         for load in rod.loads:
             self._load.append((inner.start if load.at is End.START else inner.stop - 1, load.force))
@@ -177,6 +184,12 @@ class _Scene:
 
     def advance(self, count: int, dt: float) -> None:
         for _ in range(count):
+            self._time += dt
+            if self._driven:
+                q = self._states[0].particle_q.numpy()
+                for nodes, start, motion in self._driven:
+                    q[nodes] = start + motion.pose(self._time)[0]
+                self._states[0].particle_q.assign(q)
             self._solver.step(*self._states, None, None, dt)
             self._states.reverse()
 
