@@ -3,7 +3,7 @@
 import warp as wp
 from wrod.kernels.contact.closest import SMOOTHING, closest_on_edge, within_reach
 from wrod.kernels.contact.edges import may_touch
-from wrod.kernels.contact.planes import Touchable
+from wrod.kernels.contact.law import Touchable
 from wrod.kernels.contact.shapes import BY_OTHERS, shape_before, shape_displacement
 from wrod.kernels.elastic.frames import TWO, ZERO, node
 

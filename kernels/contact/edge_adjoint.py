@@ -17,7 +17,7 @@ from wrod.kernels.contact.edges import (
     is_burdened,
     is_late,
 )
-from wrod.kernels.contact.planes import Touchable, coefficient, damped_force, return_mapping
+from wrod.kernels.contact.law import Touchable, coefficient, damped_force, return_mapping
 from wrod.kernels.contact.rolling import by_logarithms
 from wrod.kernels.contact.shapes import WITH_RODS, Borne, Shape, beside, shape_displacement
 from wrod.kernels.elastic.assembly import add_vector

@@ -2,7 +2,7 @@
 steps."""
 
 import warp as wp
-from wrod.kernels.contact.planes import Touchable
+from wrod.kernels.contact.law import Touchable
 from wrod.kernels.contact.rolling import Rolled, rolled
 from wrod.kernels.contact.shapes import Shape, shape_turn
 from wrod.kernels.elastic.frames import ONE, TWO, edge

@@ -2,14 +2,14 @@
 
 An edge touches where it comes nearest (`wrod.kernels.contact.closest`). By the envelope theorem the
 gradient of that distance D is that of the solid's at fixed s, and the normal force of
-`wrod.kernels.contact.planes` derives from an energy whose Hessian is exact. Friction is that of
-`wrod.kernels.contact.planes` at the point of contact.
+`wrod.kernels.contact.law` derives from an energy whose Hessian is exact. Friction is that of
+`wrod.kernels.contact.law` at the point of contact.
 """
 
 import warp as wp
 from wrod.kernels.contact.closest import SMOOTHING, Closest, closest_on_edge, within_reach
 from wrod.kernels.contact.duals import bristle_stiffness, follow_dual
-from wrod.kernels.contact.planes import (
+from wrod.kernels.contact.law import (
     Touchable,
     coefficient,
     damped_force,

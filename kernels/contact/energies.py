@@ -2,8 +2,9 @@
 
 import warp as wp
 from wrod.kernels.contact.edges import edge_touch
+from wrod.kernels.contact.law import Touchable
 from wrod.kernels.contact.pair_contact import Pieces, Rubbing, nearest_of_edges
-from wrod.kernels.contact.planes import Touchable, touch
+from wrod.kernels.contact.planes import touch
 from wrod.kernels.elastic.frames import HALF, ZERO
 
 wp.set_module_options({"enable_backward": False})
@@ -13,7 +14,7 @@ THIRD = wp.constant(wp.float64(1.0 / 3.0))
 
 @wp.func
 def normal_energy(p: wp.float64, stiffness: wp.float64, skin: wp.float64) -> wp.float64:
-    """Of which `wrod.kernels.contact.planes.normal_force` is the derivative."""
+    """Of which `wrod.kernels.contact.law.normal_force` is the derivative."""
     if p <= ZERO:
         return ZERO
     if p < skin:

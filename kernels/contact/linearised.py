@@ -1,14 +1,14 @@
 """Derivatives of a rod's contact with a plane over one time step, of stick and of slip."""
 
 import warp as wp
-from wrod.kernels.contact.planes import (
+from wrod.kernels.contact.law import (
     Touchable,
     coefficient,
     friction_factor,
     present_force,
     return_mapping,
-    touch,
 )
+from wrod.kernels.contact.planes import touch
 from wrod.kernels.contact.rolling import held_turn, node_turn
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 

@@ -6,7 +6,7 @@ way between two pieces.
 
 import warp as wp
 from wrod.kernels.contact.duals import bristle_stiffness, next_dual
-from wrod.kernels.contact.planes import damped_force
+from wrod.kernels.contact.law import damped_force
 from wrod.kernels.contact.segments import (
     EDGE,
     SMOOTHING,

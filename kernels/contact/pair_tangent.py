@@ -7,9 +7,9 @@ where closest points are free, and whether friction holds or slides counts as it
 """
 
 import warp as wp
+from wrod.kernels.contact.law import normal_force
 from wrod.kernels.contact.pair_contact import PairLaw, spin_share
 from wrod.kernels.contact.pair_sides import Piece, Side, Touching, across
-from wrod.kernels.contact.planes import normal_force
 from wrod.kernels.contact.segments import (
     EDGE,
     piece_bends,
@@ -149,7 +149,7 @@ def follow_force(
     lag: wp.float64, longer: wp.float64, stiffness: wp.float64, skin: wp.float64,
     wider: wp.float64,
 ) -> wp.float64:  # fmt: skip
-    """Of `wrod.kernels.contact.planes.damped_force`; `longer` and `wider` are of logarithms."""
+    """Of `wrod.kernels.contact.law.damped_force`; `longer` and `wider` are of logarithms."""
     x = depth + lag * wp.min(closing, depth)
     dx = change + lag * wp.where(closing < depth, faster, change)
     dx += longer * lag * wp.min(closing, depth)

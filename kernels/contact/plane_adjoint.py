@@ -20,14 +20,8 @@ from wrod.kernels.contact.edge_adjoint import (
     wanted_of,
     wanted_of_three,
 )
-from wrod.kernels.contact.planes import (
-    PLANE,
-    Touch,
-    Touchable,
-    coefficient,
-    return_mapping,
-    touch,
-)
+from wrod.kernels.contact.law import Touchable, coefficient, return_mapping
+from wrod.kernels.contact.planes import PLANE, Touch, touch
 from wrod.kernels.contact.rolling import by_logarithms
 from wrod.kernels.contact.rolling_adjoint import node_angle, node_rolled
 from wrod.kernels.contact.shapes import BY_OTHERS

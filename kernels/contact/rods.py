@@ -1,7 +1,7 @@
 """Contact of the edges of rods with each other: true thickness, and Coulomb friction that sticks.
 
 Edges are capsules, or pieces of a spline are tubes (`wrod.kernels.contact.segments`). A pair that
-is closer than the sum of its radii repels with the normal force of `wrod.kernels.contact.planes`
+is closer than the sum of its radii repels with the normal force of `wrod.kernels.contact.law`
 along the shortest way between them (`wrod.kernels.contact.segments`), which derives from an energy
 with an exact Hessian. Friction acts between the surfaces: their relative motion at the point of
 contact, with the turning of both edges and their spin, stretches a bristle that slides on where the
@@ -14,6 +14,7 @@ friction within a twentieth of mu times the load at its end.
 """
 
 import warp as wp
+from wrod.kernels.contact.law import note_touch
 from wrod.kernels.contact.pair_contact import (
     Pair,
     Pieces,
@@ -25,7 +26,6 @@ from wrod.kernels.contact.pair_contact import (
     pair_contact,
     relative_motion,
 )
-from wrod.kernels.contact.planes import note_touch
 from wrod.kernels.contact.segments import Nearest, piece_size
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 

@@ -1,6 +1,6 @@
 """Rolling friction: what touches a shape holds its roll up to a torque of mu_r N R.
 
-Friction of the centreline (`wrod.kernels.contact.planes`) does not know of the rod's turning about
+Friction of the centreline (`wrod.kernels.contact.law`) does not know of the rod's turning about
 its axis, which decides where a naturally curved rod bends. A bristle between the angle of the rod
 and the shape holds it as one of the tangential stiffness at the rod's surface would, k R^2, and
 slides on where its torque exceeds the bound: below it the rod does not creep however long it is
@@ -9,7 +9,8 @@ along a shape, is held by the friction of its nodes.
 """
 
 import warp as wp
-from wrod.kernels.contact.planes import Touchable, mean_angle, present_force, touch
+from wrod.kernels.contact.law import Touchable, present_force
+from wrod.kernels.contact.planes import mean_angle, touch
 from wrod.kernels.elastic.assembly import add_component, add_entry
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 

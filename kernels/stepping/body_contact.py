@@ -1,12 +1,12 @@
 """Contact of rigid bodies that move with rods, in the same implicit step, where they meet
 (`body_meetings`).
 
-Normal force and friction are those of rods (`wrod.kernels.contact.planes`). Both bodies get the
+Normal force and friction are those of rods (`wrod.kernels.contact.law`). Both bodies get the
 force at the same point, so that momentum is conserved.
 """
 
 import warp as wp
-from wrod.kernels.contact.planes import IMPACT_WAY, damped_force, note_touch, return_mapping
+from wrod.kernels.contact.law import IMPACT_WAY, damped_force, note_touch, return_mapping
 from wrod.kernels.elastic.frames import ZERO
 from wrod.kernels.stepping.bodies import Body, BodyMotion
 from wrod.kernels.stepping.body_exchange import wide

@@ -15,7 +15,7 @@ from wrod.kernels.contact.closest import closest_on_edge, within_reach
 from wrod.kernels.contact.depths import SHARP
 from wrod.kernels.contact.duals import bristle_stiffness
 from wrod.kernels.contact.edges import edge_blocks, edge_touch, hold_edge
-from wrod.kernels.contact.planes import Touchable
+from wrod.kernels.contact.law import Touchable
 from wrod.kernels.contact.shapes import WITH_RODS, Shape
 from wrod.kernels.elastic.frames import TWO, ZERO, node
 from wrod.kernels.stepping.bodies import Body, BodyMotion, turned_on

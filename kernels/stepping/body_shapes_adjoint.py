@@ -10,7 +10,7 @@ them.
 import warp as wp
 from wrod.kernels.contact.edge_adjoint import PLACE, TURN, Change, WantedShapes, follow, hold
 from wrod.kernels.contact.edges import edge_touch
-from wrod.kernels.contact.planes import Touchable
+from wrod.kernels.contact.law import Touchable
 from wrod.kernels.contact.shapes import Borne, Shape
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 from wrod.kernels.linear.banded_lu import ALONE

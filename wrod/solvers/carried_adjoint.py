@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from wrod.kernels.contact.planes import Touchable
+from wrod.kernels.contact.law import Touchable
 from wrod.kernels.stepping import body_shapes_adjoint as kernels
 from wrod.kernels.stepping.bodies import BodyMotion
 from wrod.kernels.stepping.body_shapes import place_shapes

@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 
-from wrod.kernels.contact.planes import Touchable
+from wrod.kernels.contact.law import Touchable
 from wrod.kernels.stepping import body_shapes as kernels
 from wrod.solvers.bodies import Bodies
 

@@ -10,6 +10,7 @@ from wrod.errors import RodError
 from wrod.kernels.contact import energies, linearised
 from wrod.kernels.contact import planes as kernels
 from wrod.kernels.contact import rolling as rolls
+from wrod.kernels.contact.law import Touchable
 from wrod.kernels.contact.shapes import NOTHING, Shape
 from wrod.rods.batch import RodBatch
 from wrod.rods.device import OnDevice
@@ -121,7 +122,7 @@ class Contact(OnDevice):
         firm = stiffness * cells(batch.rest_length.numpy())
         ratio = batch.node_mass.numpy() / firm
         field = self.friction_field
-        self._model = model = kernels.Touchable()
+        self._model = model = Touchable()
         model.shapes, model.rest_length = shapes, batch.rest_length
         model.static_friction, model.kinetic_friction = floats(static), floats(kinetic)
         model.roll_friction, model.rolling = floats(self._kept(roll, rolling)), floats(rolling)
@@ -383,7 +384,7 @@ class Contact(OnDevice):
         return energy.numpy()
 
     def penetration(self) -> np.ndarray:
-        """(rod,) how deep each rod is in any box or cylinder now [length]."""
+        """(rod,) how deep each rod is in any solid now [length]."""
         if not self._has_fixtures:
             return np.zeros(self.batch.rod_count)
         return self._edges.penetration(self.batch.state.dof)

@@ -6,7 +6,7 @@ import warp as wp
 from wrod.errors import RodError
 from wrod.kernels.contact import depths, edge_adjoint, energies
 from wrod.kernels.contact import edges as kernels
-from wrod.kernels.contact.planes import Touchable
+from wrod.kernels.contact.law import Touchable
 from wrod.rods.batch import RodBatch
 from wrod.solvers.carried_shapes import CarriedShapes
 
