@@ -13,7 +13,7 @@ from wrod.kernels.stepping.adjoint import EdgeBlock, RollBlock
 from wrod.rods.state import Derivatives
 from wrod.solvers.carried_adjoint import CarriedAdjoint
 from wrod.solvers.carried_shapes import CarriedShapes
-from wrod.solvers.trace import planes_of, solids_of
+from wrod.solvers.trace import contact_of, solids_of
 
 if TYPE_CHECKING:
     from wrod.solvers.dynamics import Dynamics
@@ -37,8 +37,8 @@ class ContactAdjoint:
     def __init__(self, dynamics: Dynamics, stiffness_of_mass: np.ndarray | None):
         batch = self._batch = dynamics.batch
         rods, nodes = batch.rod_count, batch.node_count
-        self._planes, self._solids = planes_of(dynamics), solids_of(dynamics)
-        self._rolls = self._planes is not None and self._planes.holds_roll
+        self._contact, self._solids = contact_of(dynamics), solids_of(dynamics)
+        self._rolls = self._contact is not None and self._contact.holds_roll
 
         def floats(*shape, dtype: Any = wp.float64):
             return wp.zeros((rods, *shape), dtype=dtype, device=batch.device)
@@ -46,7 +46,7 @@ class ContactAdjoint:
         def numbers(values):
             return wp.array(values, dtype=wp.float64, device=batch.device)
 
-        of_nodes, of_edges = nodes * (self._planes is not None), nodes - 1
+        of_nodes, of_edges = nodes * (self._contact is not None), nodes - 1
         of_solids = of_edges * (self._solids is not None)
         self.matrix = {
             "coupling": floats(of_nodes, dtype=wp.mat33d),
@@ -56,7 +56,7 @@ class ContactAdjoint:
             "roll_of_node": floats(of_nodes * self._rolls, dtype=wp.vec3d),
             "roll_of_edge": floats(of_solids * self._rolls, dtype=RollBlock),
         }
-        shapes = 0 if self._planes is None else self._planes.table.shape[1]
+        shapes = 0 if self._contact is None else self._contact.table.shape[1]
         self.by_friction = floats(shapes)
         self.by_shape = edge_adjoint.WantedShapes()
         for name in edge_adjoint.WantedShapes.vars:
@@ -66,10 +66,10 @@ class ContactAdjoint:
         if stiffness_of_mass is None:
             stiffness_of_mass = np.zeros((rods, nodes))
         self._stiffness_share = numbers(stiffness_of_mass)
-        burdened = np.full((rods, nodes), self._planes is not None and self._planes.burdened)
+        burdened = np.full((rods, nodes), self._contact is not None and self._contact.burdened)
         self._burdened = wp.array(burdened, dtype=wp.int32, device=batch.device)
         if self._solids is not None:
-            self._per_mass = numbers(stiffness_of_mass / self._planes.memory[0].stiffness.numpy())
+            self._per_mass = numbers(stiffness_of_mass / self._contact.memory[0].stiffness.numpy())
 
     @property
     def carried(self) -> CarriedShapes | None:
@@ -87,18 +87,18 @@ class ContactAdjoint:
     def add(self, step: Any, now: Any, at: Derivatives, matrix: Any) -> None:
         """Add to residual and matrix of a step, and let what is wanted of bristles at its end be
         wanted of the rods there; after `wrod.kernels.stepping.adjoint.weigh_spins`."""
-        if self._planes is None:
+        if self._contact is None:
             return
         batch = self._batch
         shape = (batch.rod_count, batch.node_count)
         edges = (batch.rod_count, batch.node_count - 1)
-        model = self._planes.memory[0]
+        model = self._contact.memory[0]
         batch.launch(
             planes.contact,
             shape,
             [model, step.span, step.active, step.dof, step.dof_before, step.bristle, step.sliding]
-            + [self._planes.ended],
-            [*self._planes.duals, at.gradient, at.hessian],
+            + [self._contact.ended],
+            [*self._contact.duals, at.gradient, at.hessian],
         )
         coupling = self.matrix["coupling"]
         batch.launch(plane_adjoint.want_bristles, shape, [model, step], [now, coupling])
@@ -139,13 +139,13 @@ class ContactAdjoint:
             x: (rod, 1, dof) the solution.
             properties: of the rods.
         """
-        if self._planes is None:
+        if self._contact is None:
             return
         batch, (now, before) = self._batch, levels
         shape = (batch.rod_count, batch.node_count)
         rods = [batch.node_mass, properties.piece, step, now, x]
         outputs = [before, self.by_friction, properties.model, properties.spins]
-        model = self._planes.memory[0]
+        model = self._contact.memory[0]
         batch.launch(
             plane_adjoint.want_friction,
             shape,

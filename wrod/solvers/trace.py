@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from wrod.solvers.newton_steps import NewtonSteps
 
 
-def planes_of(dynamics: NewtonSteps) -> Contact | None:
+def contact_of(dynamics: NewtonSteps) -> Contact | None:
     """The contact whose adjoint is known, of nodes with planes and of edges with solids."""
     return next((c for c in dynamics.contacts if isinstance(c, Contact)), None)
 
 
 def solids_of(dynamics: NewtonSteps) -> EdgeContact | None:
     """That of edges alone, where there is any."""
-    touched = planes_of(dynamics)
+    touched = contact_of(dynamics)
     return None if touched is None else touched.solids
 
 
@@ -41,7 +41,7 @@ def _memory(touched: Contact | EdgeContact | None) -> tuple[int, ...]:
 
 def _turned(dynamics: Dynamics) -> dict[str, wp.array]:
     """How far bristles are turned that keep the roll, if any does."""
-    touched, solids = planes_of(dynamics), solids_of(dynamics)
+    touched, solids = contact_of(dynamics), solids_of(dynamics)
     out = {}
     if touched is not None and touched.holds_roll:
         out["turned"] = touched.turned
@@ -64,9 +64,9 @@ def step_arrays(dynamics: Dynamics) -> dict[str, wp.array]:
     }  # fmt: skip
     if viscosity.exists:
         out |= {"strain": viscosity.strain, "strain_older": viscosity.strain_older}
-    planes = planes_of(dynamics)
-    if planes is not None:
-        _, out["bristle"], out["sliding"] = planes.memory
+    touched = contact_of(dynamics)
+    if touched is not None:
+        _, out["bristle"], out["sliding"] = touched.memory
     solids = solids_of(dynamics)
     if solids is not None:
         _, out["edge_bristle"], out["edge_sliding"] = solids.memory
@@ -97,7 +97,7 @@ def require_differentiable(dynamics: Dynamics) -> None:
             "gradients of motion know rods with a past by the bdf2 and euler schemes only, with "
             "internal damping given for every node"
         )
-    touched = planes_of(dynamics)
+    touched = contact_of(dynamics)
     if touched is not None and touched.friction_field is not None:
         raise RodError("gradients of motion do not know friction that varies from place to place")
     if dynamics.rod_contact is not None and not dynamics.rod_contact.settles_loads:
@@ -115,7 +115,7 @@ def make_wanted(dynamics: Dynamics) -> Any:
     out = kernels.Wanted()
     out.dof, out.velocity, out.turn = (zeros(n) for n in (*[batch.dof_count] * 2, nodes - 1))
     out.strain = zeros(nodes if dynamics.viscosity.exists else 0, dtype=wp.vec4d)
-    out.bristle = zeros(*_memory(planes_of(dynamics)), dtype=wp.vec3d)
+    out.bristle = zeros(*_memory(contact_of(dynamics)), dtype=wp.vec3d)
     out.edge_bristle = zeros(*_memory(solids_of(dynamics)), dtype=wp.vec3d)
     for name in ("turned", "edge_turned"):
         array = _turned(dynamics).get(name)
@@ -165,7 +165,7 @@ class Trace:
         self._diverged = dynamics.diverged
         self.count = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
         self._touched = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
-        self._planes = planes_of(dynamics)
+        self._contact = contact_of(dynamics)
         self._solids = solids_of(dynamics)
         self._parts = StepParts([*step_arrays(dynamics).values(), *beside_rods(dynamics)])
         self._kept = self._parts.room(room)
@@ -178,16 +178,16 @@ class Trace:
         batch, accepted = self.batch, dynamics.accepted
         touched = [accepted, batch.state.dof, dynamics.start.dof, self._touched]
         for contact in dynamics.contacts:
-            if contact is not self._planes:
+            if contact is not self._contact:
                 contact.find_unknown(*touched)
         for contact in self._remembering:
             contact.keep(accepted, self.count)
         if self._solids is not None:
             self._solids.find_unknown(*touched)
-        if self._planes is not None:
+        if self._contact is not None:
             shape = (batch.rod_count, batch.node_count)
             batch.launch(
-                plane_adjoint.find_unknown, shape, [self._planes.memory[0], *touched[:3]],
+                plane_adjoint.find_unknown, shape, [self._contact.memory[0], *touched[:3]],
                 touched[3:],
             )  # fmt: skip
         self._parts.launch(
