@@ -14,7 +14,7 @@ from wrod.robot.capsules import capsules_of
 from wrod.robot.collision import CollisionModel
 from wrod.robot.model import load_robot
 from wrod.robot.placement import Placement
-from wrod.robot.transfer_path import Follower, follow
+from wrod.robot.transfer_path import HandFollower, follow
 from wrod.robot.transfers import Hand, HandFilm, find_grasps, find_transfers
 from wrod.robot.two_arms import solve_two_arms
 from wrod.scene.brought import with_waiting
@@ -224,10 +224,10 @@ def test_too_fast_a_hand_is_refused():
     transfer = find_transfers(two_hands(LINE, LINE + [0.0, 0.25, 0.0]))[0]
     grasps = find_grasps(transfer, hand)
     before = np.zeros(7)
-    path = follow(Follower(arm, transfer, grasps, np.full(11, 0.4), before))
+    path = follow(HandFollower(arm, transfer, grasps, np.full(11, 0.4), before))
     assert len(path.positions) == 12
     with pytest.raises(RobotError, match="as fast as it can"):
-        follow(Follower(arm, transfer, grasps, np.full(11, 0.004), before))
+        follow(HandFollower(arm, transfer, grasps, np.full(11, 0.004), before))
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def box_surface(p: wp.vec3d, half: wp.vec3d) -> Surface:
 
 
 @wp.struct
-class Profile:
+class Meridian:
     """The same of a figure in the half-plane; `corner` is 1 where its nearest point is one."""
 
     distance: wp.float64
@@ -78,7 +78,7 @@ class Profile:
 
 
 @wp.func
-def revolved(p: wp.vec3d, across: wp.float64, f: Profile) -> Surface:
+def revolved(p: wp.vec3d, across: wp.float64, f: Meridian) -> Surface:
     """The solid of revolution of a figure, at a point `across` from the axis."""
     s = Surface()
     radial = wp.vec3d(ONE, ZERO, ZERO)
@@ -99,7 +99,7 @@ def revolved(p: wp.vec3d, across: wp.float64, f: Profile) -> Surface:
 
 @wp.func
 def cylinder_surface(p: wp.vec3d, radius: wp.float64, half: wp.float64) -> Surface:
-    f = Profile()
+    f = Meridian()
     across = wp.sqrt(p[0] * p[0] + p[1] * p[1])
     out = across - radius
     up = wp.abs(p[2]) - half
@@ -120,7 +120,7 @@ def cylinder_surface(p: wp.vec3d, radius: wp.float64, half: wp.float64) -> Surfa
 
 @wp.func
 def capsule_surface(p: wp.vec3d, radius: wp.float64, half: wp.float64) -> Surface:
-    f = Profile()
+    f = Meridian()
     across = wp.sqrt(p[0] * p[0] + p[1] * p[1])
     up = p[2] - wp.clamp(p[2], -half, half)
     size = wp.sqrt(across * across + up * up)
@@ -138,7 +138,7 @@ def capsule_surface(p: wp.vec3d, radius: wp.float64, half: wp.float64) -> Surfac
 @wp.func
 def cone_surface(p: wp.vec3d, radius: wp.float64, half: wp.float64) -> Surface:
     """Apex at z = half, a disc of that radius at z = -half."""
-    f = Profile()
+    f = Meridian()
     across = wp.sqrt(p[0] * p[0] + p[1] * p[1])
     slant = wp.sqrt(radius * radius + wp.float64(4.0) * half * half)
     # Along the slant from the rim to the apex, and outwards from it.

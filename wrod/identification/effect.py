@@ -66,7 +66,7 @@ class Effect:
     whose imaginary part carries a derivative: use analytic functions only (no abs, norm, max).
 
     Attributes:
-        name: snake_case, the file's name.
+        name: snake_case, as reports and `candidates` have it.
         title: a phrase for people.
         reference: where the model comes from.
         parameters: the unknowns.

@@ -22,19 +22,12 @@ from wrod.solvers.solids import (
     Sphere,
 )
 
-_SOLIDS = (
-    GeoType.BOX,
-    GeoType.SPHERE,
-    GeoType.CAPSULE,
-    GeoType.CYLINDER,
-    GeoType.CONE,
-    GeoType.ELLIPSOID,
-    GeoType.MESH,
-    GeoType.CONVEX_MESH,
-    GeoType.HFIELD,
-)
-
-
+_TURNED: dict[GeoType, type[Box | Ellipsoid]] = {GeoType.BOX: Box, GeoType.ELLIPSOID: Ellipsoid}
+_ON_AXIS: dict[GeoType, type[Cylinder | Capsule | Cone]] = {
+    GeoType.CYLINDER: Cylinder, GeoType.CAPSULE: Capsule, GeoType.CONE: Cone,
+}  # fmt: skip
+_MESHES = (GeoType.MESH, GeoType.CONVEX_MESH, GeoType.HFIELD)
+_SOLIDS = (*_TURNED, *_ON_AXIS, GeoType.SPHERE, *_MESHES)
 # A plane with ends is a sheet as thick as this fraction of its shorter side; an endless one on a
 # body that moves with rods, which touch solids there, ends after so many metres.
 _THINNESS, _ENDLESS = 1e-3, 1e3
@@ -218,13 +211,10 @@ class ModelShapes:
             return Box(center, (0.5 * size[0], 0.5 * size[1], deep), quaternion)
         if kind == GeoType.SPHERE:
             return Sphere(place, size[0])
-        if kind in (GeoType.BOX, GeoType.ELLIPSOID):
-            return (Box if kind == GeoType.BOX else Ellipsoid)(place, tuple(size), quaternion)
-        if kind in (GeoType.CYLINDER, GeoType.CAPSULE, GeoType.CONE):
-            round_ones: dict[GeoType, type[Cylinder] | type[Capsule] | type[Cone]] = {
-                GeoType.CYLINDER: Cylinder, GeoType.CAPSULE: Capsule, GeoType.CONE: Cone,
-            }  # fmt: skip
-            return round_ones[kind](place, size[0], size[1], axis)
+        if kind in _TURNED:
+            return _TURNED[kind](place, tuple(size), quaternion)
+        if kind in _ON_AXIS:
+            return _ON_AXIS[kind](place, size[0], size[1], axis)
         if shape not in self._meshes:
             source = self.model.shape_source[shape]
             device = str(self.model.device)

@@ -58,7 +58,7 @@ class TransferPath:
     positions: np.ndarray
 
 
-class Follower:
+class HandFollower:
     """An arm about to follow a hand.
 
     Args:
@@ -126,7 +126,7 @@ class Follower:
         )
 
 
-def follow(one: Follower) -> TransferPath:
+def follow(one: HandFollower) -> TransferPath:
     """Follow a hand.
 
     Raises:
@@ -143,7 +143,7 @@ def follow(one: Follower) -> TransferPath:
 
 
 def follow_both(
-    one: Follower, two: Follower, beside: Callable[[Follower, TransferPath], object]
+    one: HandFollower, two: HandFollower, beside: Callable[[HandFollower, TransferPath], object]
 ) -> tuple[TransferPath, TransferPath]:
     """Follow two hands that are at work at the same time.
 
@@ -170,7 +170,7 @@ def follow_both(
         gap = float(gap_between(a[4], b[4]).min())
         pairs.append((a[0] + b[0] + 20.0 * max(0.0, _PAIR_ROOM - gap), a, b))
     pairs.sort(key=lambda item: item[0])
-    best: tuple[float, str, Follower] = (np.inf, "no pose found", one)
+    best: tuple[float, str, HandFollower] = (np.inf, "no pose found", one)
     for _, a, b in pairs[:_TRIED]:
         one.other = beside(one, b[3])
         mine = one.path(*a[1:3])

@@ -13,7 +13,7 @@ from wrod.robot.kinematics import one_torch_thread
 from wrod.robot.model import Robot, load_robot
 from wrod.robot.placement import Placement
 from wrod.robot.stations import pairs_of_stations
-from wrod.robot.transfer_path import Follower, TransferPath, follow, follow_both
+from wrod.robot.transfer_path import HandFollower, TransferPath, follow, follow_both
 from wrod.robot.transfers import Grasp, Hand, HandFilm, Transfer, find_grasps, find_transfers
 from wrod.robot.transit import park
 
@@ -175,9 +175,9 @@ def _solve(film: HandFilm, arms: list[Arm], transfers, grasps, ground: np.ndarra
     steps = np.diff(film.time)
     paths: list[TransferPath] = []
 
-    def follower(transfer: Transfer) -> Follower:
+    def follower(transfer: Transfer) -> HandFollower:
         done = [path for path in paths if path.transfer.hand == transfer.hand]
-        side = Follower(
+        side = HandFollower(
             arms[transfer.hand],
             transfer,
             grasps[id(transfer)],
@@ -187,7 +187,7 @@ def _solve(film: HandFilm, arms: list[Arm], transfers, grasps, ground: np.ndarra
         side.other = beside(side)
         return side
 
-    def beside(side: Follower, path: TransferPath | None = None):
+    def beside(side: HandFollower, path: TransferPath | None = None):
         """The other arm's capsules beside a transfer: at work where that is known, else waiting."""
         transfer, known = side.transfer, paths if path is None else [*paths, path]
         start, end, radius = resting[1 - transfer.hand]

@@ -55,8 +55,8 @@ class Box(_Checked):
 
 
 @dataclass(frozen=True)
-class _Round(_Checked):
-    """What is round about an axis."""
+class _OfRevolution(_Checked):
+    """A solid of revolution about an axis."""
 
     center: tuple[float, float, float]
     radius: float
@@ -71,7 +71,7 @@ class _Round(_Checked):
 
 
 @dataclass(frozen=True)
-class Cylinder(_Round):
+class Cylinder(_OfRevolution):
     """A cylinder around `center` with its axis along `axis`."""
 
     kind = int(solids.CYLINDER)
@@ -89,14 +89,14 @@ class Sphere(_Checked):
 
 
 @dataclass(frozen=True)
-class Capsule(_Round):
+class Capsule(_OfRevolution):
     """A cylinder around `center` of that half height, with half balls on both ends."""
 
     kind = int(solids.CAPSULE)
 
 
 @dataclass(frozen=True)
-class Cone(_Round):
+class Cone(_OfRevolution):
     """A cone whose apex is `half_height` from `center` along `axis`, its base as far behind."""
 
     kind = int(solids.CONE)

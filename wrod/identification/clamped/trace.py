@@ -95,7 +95,7 @@ def hats(fraction: np.ndarray, knots: int = KNOTS) -> np.ndarray:
     return np.maximum(1.0 - np.abs(fraction[:, None] * (knots - 1) - np.arange(knots)), 0.0)
 
 
-class Profile(Effect):
+class ProbedProfile(Effect):
     """A profile of `width` components between knots that changes one array of the setup.
 
     Args:
@@ -119,7 +119,7 @@ class Profile(Effect):
         setattr(setup, self.array, old + (old * change if self.relative else change))
 
 
-class _Force(Profile):
+class _Force(ProbedProfile):
     """Force per length, along the columns of a frame in each trial and node."""
 
     def __init__(self, scale, frame):
@@ -161,7 +161,7 @@ def trace(
         jacobian = laboratory.whiten(rates, trials).reshape(-1, len(scale))
         if len(values):
             jacobian = jacobian - own @ (own.T @ jacobian)
-        profile = isinstance(probe.effects[0], Profile)
+        profile = isinstance(probe.effects[0], ProbedProfile)
         prior = smooth_prior(len(components)) if profile else np.eye(len(scale))
         evidence, _, share, value, stderr = infer(jacobian, residual, prior)
         drift = _drift(trials, jacobian @ value, residual)
@@ -226,7 +226,7 @@ def _plans(frames: np.ndarray, weight: float) -> list[tuple]:
             "moment that turns with the material, as a curvature dt/ds at rest",
             "1/m",
             ("natural_curvature", "natural_helix"),
-            Model((Profile("natural_curvature", 1.0, 2),)),
+            Model((ProbedProfile("natural_curvature", 1.0, 2),)),
             own[:2],
         ),
         (
@@ -234,7 +234,7 @@ def _plans(frames: np.ndarray, weight: float) -> list[tuple]:
             "moment that follows the curvature, as a relative change of bending stiffness",
             "",
             ("stiffness", "stiffness_gradient", "anisotropic_bending", "softening"),
-            Model((Profile("bending", 0.1, relative=True),)),
+            Model((ProbedProfile("bending", 0.1, relative=True),)),
             ("stiffness",),
         ),
         *(

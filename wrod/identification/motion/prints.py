@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
-from wrod.identification.clamped.trace import KNOTS, Print, Profile, hats, infer, smooth_prior
+from wrod.identification.clamped.trace import KNOTS, Print, ProbedProfile, hats, infer, smooth_prior
 from wrod.identification.effect import Effect, Model, Parameter, effects
 from wrod.identification.motion.inverse import InverseMotion, rates_about
 
@@ -192,7 +192,7 @@ def _hypotheses(seen: InverseMotion, arc_length: np.ndarray) -> list[_Hypothesis
         _Hypothesis(
             "moment_with_strain_rate", "moment that follows the rate of bending, as a viscous time",
             "s", ("internal_damping",), ("viscous time",), 0.03,
-            (-np.max(setup.viscous_time), 1.0), of(Profile("viscous_time", 0.03)), even,
+            (-np.max(setup.viscous_time), 1.0), of(ProbedProfile("viscous_time", 0.03)), even,
         ),
         _Hypothesis(
             "moment_in_material", "moment that turns with the material, as a curvature at rest",
@@ -202,13 +202,13 @@ def _hypotheses(seen: InverseMotion, arc_length: np.ndarray) -> list[_Hypothesis
         _Hypothesis(
             "twist_in_material", "twisting moment that turns with the material, as a twist at rest",
             "rad/m", ("natural_twist", "grip_roll"), ("twist",), 3.0,
-            (-20.0, 20.0), of(Profile("natural_twist", 3.0)), even,
+            (-20.0, 20.0), of(ProbedProfile("natural_twist", 3.0)), even,
         ),
         _Hypothesis(
             "moment_with_curvature", "moment that follows the curvature, as a relative change of "
             "stiffness", "", ("stiffness", "stiffness_profile", "anisotropic_bending",
             "clamp_length"), ("stiffness",), 0.1, (-0.5, 1.0),
-            of(Profile("bending", 0.1, relative=True)), even,
+            of(ProbedProfile("bending", 0.1, relative=True)), even,
         ),
         _Hypothesis(
             "grips", "rod turned in the grips", "rad", ("grip_direction", "grip_roll"),

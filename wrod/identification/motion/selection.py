@@ -59,7 +59,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Round:
+class MotionRound:
     """One step of the selection, its candidates the most promising first.
 
     Attributes:
@@ -100,7 +100,7 @@ class MotionSelection:
     values: np.ndarray
     fit: Linearised
     covariance: np.ndarray
-    rounds: tuple[Round, ...]
+    rounds: tuple[MotionRound, ...]
     undamped: float
     before: float
     after: float
@@ -224,7 +224,7 @@ class _Selection:
     def _note(self, model, after: _Fitted, rows, reason, *, accepted=None, removed=None) -> None:
         test = self._error(self.test, after.model, after.values)
         self.rounds.append(
-            Round(model.names, tuple(rows), accepted, reason, after.validation, test, removed)
+            MotionRound(model.names, tuple(rows), accepted, reason, after.validation, test, removed)
         )
 
     def _round(self, now: _Fitted) -> tuple[_Fitted, bool]:
