@@ -34,6 +34,7 @@ class BodyContact:
     """
 
     time_step: wp.array
+    iteration: wp.array
 
     def __init__(self, model: newton.Model, bodies: Bodies):
         self.model, self.bodies, self._size, self._room = model, bodies, 0, 0

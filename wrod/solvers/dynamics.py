@@ -13,10 +13,9 @@ from wrod.rods.batch import RodBatch
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.condensed import paired_system
-from wrod.solvers.contact import Contact
 from wrod.solvers.inelastic import InternalVariables
 from wrod.solvers.inertia import edge_masses, lumped_masses, rounding_of, usual_force
-from wrod.solvers.newton_steps import Follower, NewtonSteps
+from wrod.solvers.newton_steps import Follower, NewtonSteps, Touching
 from wrod.solvers.readback import read
 from wrod.solvers.recording import launching, record, replay
 from wrod.solvers.rod_contact import RodContact
@@ -48,7 +47,6 @@ class Progress:
     iterations: np.ndarray
 
 
-# What touches: the protocol of `Contact`, `RodContact` and Newton's shapes.
 _IS_CONTACT = arguments.like("a wrod.Contact or wrod.RodContact", "add", "settle", "restart")
 
 
@@ -69,7 +67,8 @@ class Dynamics(NewtonSteps):
             with which a swinging cable's period is off by a tenth as much.
         internal_damping: Kelvin-Voigt time of the material [time], which does not oppose rigid
             motion: (rod,), or for every strain as in `wrod.solvers.viscosity.Viscosity`.
-        contact: what the rods touch, one or several, or None; at most one `RodContact`.
+        contact: what the rods touch, one or several (`wrod.solvers.newton_steps.Touching`), or
+            None; at most one `RodContact`.
         motion: what moves prescribed degrees of freedom, or None.
         bodies: rigid bodies that hold rods and move with them, or None.
         force_scale: (rod,) what residuals are measured against; default: the rod's weight, or
@@ -118,7 +117,7 @@ class Dynamics(NewtonSteps):
         air_damping: np.ndarray | float = 0.0,
         inertia: str = "lumped",
         internal_damping: np.ndarray | float = 0.0,
-        contact: Contact | RodContact | Sequence | None = None,
+        contact: Touching | Sequence[Touching] | None = None,
         motion: Motion | None = None,
         bodies: Bodies | None = None,
         force_scale: np.ndarray | float | None = None,

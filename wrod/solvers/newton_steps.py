@@ -30,13 +30,41 @@ class Follower(Protocol):
     def follow(self, dynamics: NewtonSteps) -> None: ...
 
 
+class Touching(Protocol):
+    """What rods, or bodies that hold them, touch; all of it by kernels alone.
+
+    Attributes:
+        time_step, iteration: (rod,) time from the start of the step to where its forces are, and
+            number of the Newton iteration; `Dynamics` says them.
+    """
+
+    time_step: wp.array
+    iteration: wp.array
+
+    def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        """Add forces and stiffness at `dof` to the gradient and Hessian of active rods, or bodies.
+        `dof_before` (rod, dof) is the start of the step here and below."""
+
+    def refuse(self, converged: wp.array, active: wp.array, dof, dof_before) -> None:
+        """Take the convergence of steps back that cannot stand."""
+
+    def find_touching(self, chosen: wp.array, dof, dof_before, touching: wp.array) -> None:
+        """Raise `touching` (rod,) of the chosen rods to 1 where they touch, to 2 in an impact."""
+
+    def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        """Carry the memory of accepted steps over to the next."""
+
+    def restart(self, chosen: wp.array) -> None:
+        """Forget what the chosen rods touched."""
+
+
 class NewtonSteps(Steps):
     """The parts of a round: a Newton iteration of every rod, and what becomes of its step.
 
     What they work with are arguments of `wrod.solvers.dynamics.Dynamics`, which sets it.
     """
 
-    contacts: tuple
+    contacts: tuple[Touching, ...]
     motion: Motion | None
     follower: Follower | None
     bodies: Bodies | None

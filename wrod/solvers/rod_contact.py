@@ -67,11 +67,10 @@ class RodContact(OnDevice):
         way: how far a node may go in a step over the radius. Pairs are half a radius deep at most
             where steps end, so that they cannot have crossed on less than three radii between them.
 
-
     Attributes:
         settles_loads: whether steps iterate until the loads that bound friction are those of their
             end within 1e-10, as gradients want it, instead of a twentieth.
-        time_step: (rod,) duration of the present step; see `Contact`.
+        time_step, iteration: (rod,) as of `Contact`.
         balance: (rod,) residual of the present iteration and the step's tolerance.
         velocity: (rod, dof) at the start of the present step.
         force: (rod, node) contact force on each node at the end of the last step.
@@ -85,6 +84,7 @@ class RodContact(OnDevice):
     """
 
     settles_loads = False
+    iteration: wp.array
 
     @arguments.checked(
         RodError,

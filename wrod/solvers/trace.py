@@ -169,7 +169,8 @@ class Trace:
         self._solids = solids_of(dynamics)
         self._parts = StepParts([*step_arrays(dynamics).values(), *beside_rods(dynamics)])
         self._kept = self._parts.room(room)
-        self._remembering = [c for c in dynamics.contacts if hasattr(c, "keep")]
+        self._others: list[Any] = [c for c in dynamics.contacts if c is not self._contact]
+        self._remembering = [c for c in self._others if hasattr(c, "keep")]
         for contact in self._remembering:
             contact.make_room(room)
 
@@ -177,9 +178,8 @@ class Trace:
         """Keep the accepted steps."""
         batch, accepted = self.batch, dynamics.accepted
         touched = [accepted, batch.state.dof, dynamics.start.dof, self._touched]
-        for contact in dynamics.contacts:
-            if contact is not self._contact:
-                contact.find_unknown(*touched)
+        for contact in self._others:
+            contact.find_unknown(*touched)
         for contact in self._remembering:
             contact.keep(accepted, self.count)
         if self._solids is not None:
