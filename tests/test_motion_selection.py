@@ -1,6 +1,7 @@
 """Splits, steps and starts of the fits to motions, and the summary of their cross-validation."""
 
 import json
+from copy import copy
 
 import numpy as np
 import pytest
@@ -97,25 +98,35 @@ def test_twist_starts_where_newton_fails(measured, monkeypatch):
 
 
 class _Linear(MotionLaboratory):
-    """Motions that are linear in effects that move every marker alike; truth is a + b, and the
-    mesh lacks a shift upwards."""
+    """Motions that are linear in effects that move every marker alike; truth is a + b, and a mesh
+    of this edge lacks a shift upwards and moves markers as no rod does."""
+
+    edge = 1.0
 
     def __init__(self, measurements, lacking=0.0):
         super().__init__(measurements)
         self.base.shift, self.lacking = np.zeros(3), np.array([0.0, 0.0, lacking])
+        self.base.by_edges = np.zeros(3)
         self.noise = np.random.default_rng(0).normal(0.0, 1e-4, measurements.positions.shape)
 
     def run(self, windows, setup, rates=()):
         frames = np.minimum(windows.start[:, None] + np.arange(windows.seen.shape[1]), FRAMES - 1)
         noise = self.noise[windows.recording[:, None], frames]
-        x = windows.markers + noise + np.real(setup.shift) - [2e-3, 2e-3, 0.0] - self.lacking
-        columns = [np.imag(r.shift) / COMPLEX_STEP for r in rates]
+
+        def moved(setup):
+            return setup.shift + self.edge**2 * (setup.by_edges - self.lacking)
+
+        x = windows.markers + noise + np.real(moved(setup)) - [2e-3, 2e-3, 0.0]
+        columns = [np.imag(moved(r)) / COMPLEX_STEP for r in rates]
         rate = np.zeros((*x.shape[:3], len(rates), 3))
         rate[:] = np.array(columns).reshape(-1, 3)
         return x, rate, np.zeros(len(x), dtype=bool)
 
-    def discretisation(self, windows, model, values, predicted):
-        return np.broadcast_to(self.lacking, predicted.shape)
+    @property
+    def _halved(self):
+        half = copy(self)
+        half.edge = self.edge / 2.0
+        return half
 
 
 class _Shift(Effect):
@@ -127,6 +138,11 @@ class _Shift(Effect):
 
     def apply(self, setup, values):
         setup.shift = setup.shift + values[0] * self.direction
+
+
+class _OfEdges(_Shift):
+    def apply(self, setup, values):
+        setup.by_edges = setup.by_edges + values[0] * self.direction
 
 
 def test_an_effect_that_later_ones_make_idle_leaves_again(measured):
@@ -144,14 +160,15 @@ def test_an_effect_that_later_ones_make_idle_leaves_again(measured):
 
 
 def test_an_effect_that_makes_up_for_the_mesh_is_refused(measured):
-    """What the bound of b leaves and the mesh lacks are of one size."""
-    b = _Shift("b", (0, 1, 0))
-    b.parameters = (Parameter("size", "m", 1.0, upper=1.5e-3),)
-    shifts = [_Shift("up", (0, 0, 1)), _Shift("a", (1, 0, 0)), b]
+    """One would stand for what the mesh lacks, the other is nothing where edges are short."""
+    shifts = [_Shift("up", (0, 0, 1)), _Shift("a", (1, 0, 0)), _OfEdges("b", (0, 1, 0))]
     selection = select_motion(_Linear(measured, lacking=1e-3), shifts)
-    assert sorted(selection.model.names[3:]) == ["a", "b"]
-    assert selection.rounds[-1].reason.startswith("up lowers the validation error by")
+    assert selection.model.names[3:] == ("a",)
+    np.testing.assert_allclose(selection.values[3:], 2e-3, rtol=0.05)
+    assert selection.rounds[-1].reason.startswith("b lowers the validation error by")
     assert selection.rounds[-1].reason.endswith("it makes up for them")
+    promise = {c.name: c.promise for c in selection.rounds[-1].candidates}
+    assert promise["up"] < 1e-3 < promise["b"]
 
 
 def test_a_parameter_at_its_bound_is_no_explanation(measured):

@@ -43,7 +43,7 @@ def fold_row(
     windows = rod.windows(m.test)
 
     def each(model, values) -> dict[str, float]:
-        error = errors_of(windows, rod.predict(windows, model, values))
+        error = errors_of(*rod.resolved(windows, model, values)[:2])
         mean = [1e3 * e[2:][seen[2:]].mean() for e, seen in zip(error, windows.seen, strict=True)]
         return dict(zip((m.names[r] for r in m.test), map(float, mean), strict=True))
 

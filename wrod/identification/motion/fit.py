@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -151,56 +153,56 @@ class MotionLaboratory:
         """Mean |difference| over coordinates and all markers from the third frame on [m]."""
         return float(errors_of(windows, predicted)[:, 2:][windows.seen[:, 2:]].mean())
 
-    def error_between(self, windows: Windows, a: np.ndarray, b: np.ndarray) -> float:
-        """Mean |difference| of two predictions, as `error` [m]."""
-        size = np.abs(a - b).mean(axis=(2, 3))
-        return float(size[:, 2:][windows.seen[:, 2:]].mean())
-
     def finer(self) -> MotionLaboratory:
         """The same with half the time step."""
         other = copy.copy(self)
         other.substeps = 2 * self.substeps
+        vars(other).pop("_halved", None)
         return other
 
-    def resolved(self) -> MotionLaboratory:
+    @cached_property
+    def _halved(self) -> MotionLaboratory:
         """The same with half the edges and half the time step."""
         return MotionLaboratory(
             self.measurements, subdivisions=2 * self.subdivisions, substeps=2 * self.substeps,
-            device=self.device, free_roll=self.free_roll, remembered=self.remembered,
+            device=self.device, free_roll=self.free_roll,
         )  # fmt: skip
 
-    def discretisation(
-        self, windows: Windows, model: Model, values: np.ndarray, predicted: np.ndarray
-    ) -> np.ndarray:
-        """(W, F, M, 3) what a prediction lacks to that of infinitely short edges and steps [m].
+    def resolved(
+        self, windows: Windows, model: Model, values: np.ndarray
+    ) -> tuple[Windows, np.ndarray, np.ndarray]:
+        """Windows with what mesh and time step lack in this prediction, (W, F, M, 3) the latter
+        without it [m], and (W,) failures.
 
-        Both errors are of second order, so halving shows three quarters of it. Zero for windows
-        whose steps do not converge there.
+        Both errors are of second order, so halving shows three quarters of them. Nothing is added
+        where the halved steps do not converge. Held while a model is fitted, what is lacking makes
+        the fit that of the fine mesh (defect correction), so no parameter makes up for edges.
         """
-        other = self.resolved()
-        finer, _, failed = other.run(windows, model.setup(other.base, values))
-        return np.where(failed[:, None, None, None], 0.0, 4.0 / 3.0 * (finer - predicted))
+        predicted, _, failed = self.run(windows, model.setup(self.base, values))
+        other = self._halved
+        finer, _, lost = other.run(windows, model.setup(other.base, values))
+        lacking = 4.0 / 3.0 * (finer - predicted)
+        lacking[failed | lost] = 0.0
+        return replace(windows, lacking=lacking), predicted, failed
 
     def floor(
         self, windows: Windows, model: Model, values: np.ndarray, predicted: np.ndarray
-    ) -> tuple[float, np.ndarray]:
-        """Error that may be left of a prediction although the model is right [m], and its
-        `discretisation`: noise of the markers that are compared, what mesh and time step leave, and
-        what the noise of grips, first frames and lengths makes of it: as much again shows it.
+    ) -> float:
+        """Error that may be left of a prediction although the model is right [m]: noise of the
+        markers that are compared, and what the noise of grips, first frames and lengths makes of
+        it: as much again shows it.
 
         Args:
             windows: from the start of recordings to their end.
         """
-        lacking = self.discretisation(windows, model, values, predicted)
         m, noise = self.measurements, np.random.default_rng(0)
         noisy = noise.normal(m.positions, m.noise)
         again = windows_of(replace(m, positions=noisy), windows.recording.tolist())
         again = replace(again, markers=windows.markers)
         shaken, _, failed = self.run(again, model.setup(self.base, values))
         shaken[failed] = predicted[failed]
-        parts = [self.error_between(windows, lacking + predicted, predicted)]
-        parts.append(self.error_between(windows, shaken, predicted))
-        return float(np.linalg.norm([m.noise_floor, *parts])), lacking
+        still = replace(windows, markers=predicted, lacking=np.zeros_like(predicted))
+        return float(np.hypot(m.noise_floor, self.error(still, shaken)))
 
     def rates(self, model: Model, values: np.ndarray) -> list[MotionSetup]:
         """Setups whose imaginary parts are the parameters' rates."""
@@ -226,6 +228,7 @@ class MotionLaboratory:
         key = [what, self.substeps, self.subdivisions, self.free_roll, self.misfit]
         key += [model.names, np.asarray(values).tolist(), windows.markers.shape]
         key += [windows.recording.tolist(), windows.start.tolist()]
+        key += [hashlib.sha256(windows.lacking.tobytes()).hexdigest()]
         found = self.remembered.recall(
             key, lambda: {**work(windows, model, values), "misfit": self.misfit}
         )
@@ -265,7 +268,7 @@ class MotionLaboratory:
         """Frames that count, their differences, robust weights, cost and the prior's curvature."""
         seen = windows.seen.copy()
         seen[:, :2] = False
-        difference = (x - windows.markers)[seen]
+        difference = (x + windows.lacking - windows.markers)[seen]
         square = np.sum(difference**2, axis=-1, keepdims=True)
         root = np.sqrt(1.0 + square / _ROBUST**2)
         scale = np.array([p.scale for p in model.parameters])
@@ -359,4 +362,4 @@ def _newton(at: Linearised, damping: float, inside: np.ndarray) -> np.ndarray:
 
 def errors_of(windows: Windows, predicted: np.ndarray) -> np.ndarray:
     """(W, F) mean |difference| over coordinates and all markers [m]."""
-    return np.abs(predicted - windows.markers).mean(axis=(2, 3))
+    return np.abs(predicted + windows.lacking - windows.markers).mean(axis=(2, 3))

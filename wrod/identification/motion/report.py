@@ -43,7 +43,7 @@ class MotionReport(Report):
     were added, and the candidates of the first round.
 
     Attributes:
-        numerical_error: mean |change| of the prediction when the time step is halved [m].
+        numerical_error: mean |what mesh and time step lack in the prediction|, which is added [m].
         base: what the base model has fitted.
         selection, residual, trace: the whole evidence.
         failed: (before, after) (W,) test recordings whose steps did not converge; they are scored
@@ -205,17 +205,12 @@ def _report(selection: MotionSelection, evidence: MotionTrace | None) -> MotionR
     m = laboratory.measurements
     windows = laboratory.windows(m.test)
     base = Model(selection.model.effects[: len(BASE)])
-    setups = [
-        base.setup(laboratory.base, selection.base_values),
-        selection.model.setup(laboratory.base, selection.values),
-    ]
-    (before, _, lost_before), (after, _, lost_after) = (laboratory.run(windows, s) for s in setups)
-    few = laboratory.windows(m.test[:2])
-    fine = laboratory.finer().predict(few, selection.model, selection.values)
-    numerical = laboratory.error_between(few, fine, after[: len(few.recording)])
-    # The halved step of a second-order scheme shows three quarters of the error.
-    numerical *= 4.0 / 3.0
-    floor, _ = laboratory.floor(few, selection.model, selection.values, after[: len(few.recording)])
+    models = (base, selection.base_values), (selection.model, selection.values)
+    found = [laboratory.resolved(windows, *model) for model in models]
+    (before, lost_before), (after, lost_after) = ((x + w.lacking, lost) for w, x, lost in found)
+    few, last = np.arange(min(2, len(after))), found[1]
+    floor = laboratory.floor(last[0].part(few), *models[1], last[1][few])
+    numerical = laboratory.error(replace(windows, markers=last[1]), after)
     verdict, reason = verdict_of(selection, floor)
     if lost_after.any():
         names = ", ".join(m.names[r] for r in windows.recording[lost_after])

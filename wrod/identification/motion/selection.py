@@ -5,10 +5,10 @@ are ranked by the misfit that they promise to take away in the problem linearise
 model. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them with the least
 error on whole validation recordings are fitted, and so is the most promising one: laws of bending
 come to what they promise in many steps only. The best joins if it lowers that error by
-`LEAST_GAIN` or more against the present model that was fitted on, too. Where little more is left
-than mesh and time step leave, it must not raise the error of predictions to which that is added,
-either: an effect that makes up for edges and steps does. The rounds end when none joins,
-when no more is left than noise, mesh and time step leave, or after `MOST_EFFECTS`. Then every
+`LEAST_GAIN` or more against the present model that was fitted on, too. What mesh and time step lack
+in the present model's predictions is added to all of them, and found anew for an effect that is to
+join: one that makes up for edges and steps gains nothing. The rounds end when none joins, when no
+more is left than noise leaves, or after `MOST_EFFECTS`. Then every
 effect without which the refitted model's validation error rises by less than `LEAST_GAIN` is taken
 out again; only those are tried that the linearised problem hardly needs. What is left is fitted to
 whole recordings, those of the validation included.
@@ -23,6 +23,7 @@ from wrod.identification.effect import Effect, Model, effects
 from wrod.identification.motion.confounding import confounded_pairs, correlations_of
 from wrod.identification.motion.fit import Linearised, MotionLaboratory
 from wrod.identification.motion.promises import losses_of, promises_of
+from wrod.identification.motion.windows import Windows
 from wrod.identification.verdict import MOTION
 
 # What cannot be known beforehand, with the value that fits start from: a rod without damping would
@@ -34,12 +35,10 @@ LEAST_GAIN = 0.01
 MOST_EFFECTS = 6
 # (frames, recordings) of the windows: to begin with, of the selection and of the last fit.
 _SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 10), (None, 32)
-# Validation recordings that are predicted on a finer mesh with shorter steps.
-_RESOLVED = 8
+# Validation recordings that are predicted from shaken grips.
+_SHAKEN = 8
 # Steps of a candidate's fit, at most; it ends where one takes less than this share of the misfit.
 _LONGEST, _SETTLED = 10, 2e-2
-# Of an error of so many times the floor, a quarter of the squares may be the floor's.
-_NEAR = 2.0
 # Effects without which the linearised misfit rises by more than this share are not idle.
 _BUSY = 0.02
 
@@ -128,11 +127,13 @@ def select_motion(
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A model fitted to the medium windows; what it predicts for the validation recordings, and its
-    error there [m]."""
+    """A model fitted to the medium windows, these and the validation recordings with what meshes
+    lack, what it predicts for the latter, and its error there [m]."""
 
     model: Model
     values: np.ndarray
+    medium: Windows
+    checked: Windows
     predicted: np.ndarray
     validation: float
 
@@ -144,7 +145,6 @@ class _Selection:
         self.left = [c for c in candidates if c.name not in BASE]
         self.short, self.medium = (self._windows(m.fit, *size) for size in (_SHORT, _MEDIUM))
         self.validation, self.test = laboratory.windows(m.validation), laboratory.windows(m.test)
-        self.resolved = _some(np.arange(len(m.validation)), _RESOLVED)
         # Where nothing is kept for a test the validation recordings are one, and stay unfitted.
         apart = len(np.intersect1d(m.test, m.validation)) == 0
         every = np.union1d(m.fit, m.validation) if apart else m.fit
@@ -158,24 +158,31 @@ class _Selection:
         return self.rod.windows(_some(recordings, count), sorted(set(starts.tolist())), length)
 
     def _error(self, windows, model, values) -> float:
-        return self.rod.error(windows, self.rod.predict(windows, model, values))
+        windows, predicted, _ = self.rod.resolved(windows, model, values)
+        return self.rod.error(windows, predicted)
 
-    def _fit(self, model: Model, values: np.ndarray, steps: int, settled: float = 0.0) -> _Fitted:
-        return self._validated(model, self.rod.refine(self.medium, model, values, steps, settled))
+    def _validated(self, model: Model, values: np.ndarray, beside: _Fitted) -> _Fitted:
+        """A model whose predictions lack what those of another one do."""
+        predicted = self.rod.predict(beside.checked, model, values)
+        error = self.rod.error(beside.checked, predicted)
+        return replace(beside, model=model, values=values, predicted=predicted, validation=error)
 
-    def _validated(self, model: Model, values: np.ndarray) -> _Fitted:
-        predicted = self.rod.predict(self.validation, model, values)
-        return _Fitted(model, values, predicted, self.rod.error(self.validation, predicted))
+    def _fit(self, model, values, steps: int, settled: float, beside: _Fitted) -> _Fitted:
+        values = self.rod.refine(beside.medium, model, values, steps, settled)
+        return self._validated(model, values, beside)
+
+    def _resolved(self, model: Model, values: np.ndarray, steps: int = 3) -> _Fitted:
+        """Fitted on with what mesh and time step lack in its own predictions."""
+        medium = self.rod.resolved(self.medium, model, values)[0]
+        values = self.rod.refine(medium, model, values, steps)
+        checked, predicted, _ = self.rod.resolved(self.validation, model, values)
+        error = self.rod.error(checked, predicted)
+        return _Fitted(model, values, medium, checked, predicted, error)
 
     def run(self) -> MotionSelection:
         known = effects("motion")
         self.say("base model")
         base = self._base(BASE, known)
-        floor, _ = self._resolved(base)
-        if not MOTION.is_noise(base.validation, floor) and base.validation < _NEAR * floor:
-            # What is small beside what mesh and time step leave is looked for on finer ones.
-            self.rod = self.rod.resolved()
-            base = self._base(BASE, known)
         undamped = self._base(BASE[:2], known)
         gain = 1.0 - base.validation / undamped.validation
         damped = gain >= LEAST_GAIN and base.values[2] > 0.0
@@ -192,11 +199,11 @@ class _Selection:
         now = self._without_idle(now)
         self._damped_after_all(now)
         self.say("whole recordings")
-        rod, whole = self.rod, self.whole
-        base_values, _ = rod.fit(whole, base.model, base.values, iterations=4, converged=0.005)
-        values, fit = rod.fit(whole, now.model, now.values, iterations=8, converged=0.005)
+        base_values, _ = self._on_the_whole(base, 4)
+        values, fit = self._on_the_whole(now, 8)
         self.say("confounding")
-        names, correlation = correlations_of(rod, self.medium, now.model, values, self.left)
+        rod = self.rod
+        names, correlation = correlations_of(rod, now.medium, now.model, values, self.left)
         return MotionSelection(
             laboratory=rod,
             base_values=base_values,
@@ -219,7 +226,12 @@ class _Selection:
         model = Model(tuple(known[name] for name in names))
         start = np.array([_BASE[name] for name in names])
         values, _ = self.rod.fit(self.short, model, start)
-        return self._fit(model, values, steps=6)
+        return self._resolved(model, self.rod.refine(self.medium, model, values, steps=3))
+
+    def _on_the_whole(self, now: _Fitted, iterations: int) -> tuple[np.ndarray, Linearised]:
+        """Fitted to whole recordings."""
+        windows = self.rod.resolved(self.whole, now.model, now.values)[0]
+        return self.rod.fit(windows, now.model, now.values, iterations=iterations, converged=0.005)
 
     def _note(self, model, after: _Fitted, rows, reason, *, accepted=None, removed=None) -> None:
         test = self._error(self.test, after.model, after.values)
@@ -229,16 +241,17 @@ class _Selection:
 
     def _round(self, now: _Fitted) -> tuple[_Fitted, bool]:
         """The model with one effect more, if one is worth it, and whether one was."""
-        ranked = promises_of(self.rod, self.medium, now.model, now.values, self.left)
+        ranked = promises_of(self.rod, now.medium, now.model, now.values, self.left)
         tried, stepped = {}, {}
         for _, effect, start, at in ranked[:TRIED]:
             model = now.model.extended(effect)
-            values = self.rod.step(self.medium, model, np.r_[now.values, start], at)
-            stepped[effect.name] = self._validated(model, values)
+            values = self.rod.step(now.medium, model, np.r_[now.values, start], at)
+            stepped[effect.name] = self._validated(model, values, now)
         kept = sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]
         for name in dict.fromkeys([*kept, *list(stepped)[:1]]):
-            fitted = self._fit(stepped[name].model, stepped[name].values, _LONGEST, _SETTLED)
-            tried[name] = min(stepped[name], fitted, key=lambda t: t.validation)
+            one = stepped[name]
+            fitted = self._fit(one.model, one.values, _LONGEST, _SETTLED, now)
+            tried[name] = min(one, fitted, key=lambda t: t.validation)
         found = stepped | tried
         rows = [
             Candidate(e.name, p, found[e.name].validation if e.name in found else float("nan"))
@@ -263,36 +276,28 @@ class _Selection:
         if not gain >= LEAST_GAIN:
             return now, None, f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
         # Others were fitted on from the present model: what further steps bring is not theirs.
-        now = min(now, self._fit(now.model, now.values, steps=3), key=lambda t: t.validation)
-        floor, resolved = self._resolved(now)
+        now = min(now, self._resolved(now.model, now.values), key=lambda t: t.validation)
+        few = _some(np.arange(len(now.predicted)), _SHAKEN)
+        windows, predicted = now.checked.part(few), now.predicted[few]
+        floor = self.rod.floor(windows, now.model, now.values, predicted)
         if MOTION.is_noise(now.validation, floor):
-            return (
-                now,
-                None,
-                f"{1e3 * now.validation:.3f} mm are left, no more than noise, "
-                + (f"mesh and time step leave, {1e3 * floor:.3f} mm"),
-            )
+            left = f"{1e3 * now.validation:.3f} mm are left, no more than noise leaves"
+            return now, None, f"{left}, {1e3 * floor:.3f} mm"
         refused = ""
         for one in found:
             gain = 1.0 - one.validation / now.validation
             if not gain >= LEAST_GAIN:
                 short = f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
                 return now, None, refused or short
-            if now.validation > _NEAR * floor or self._resolved(one)[1] < resolved:
-                return now, one, _lowers(gain)
+            one = self._resolved(one.model, one.values)
+            own = 1.0 - one.validation / now.validation
+            if own >= LEAST_GAIN:
+                return now, one, _lowers(own)
             refused = refused or (
-                f"{one.model.names[-1]} {_lowers(gain)}, but not with what the mesh and the time "
-                "step leave added to the predictions: it makes up for them"
+                f"{one.model.names[-1]} {_lowers(gain)}, but by {100 * own:.1f} % with what mesh "
+                "and time step lack in its own predictions: it makes up for them"
             )
         return now, None, refused
-
-    def _resolved(self, now: _Fitted) -> tuple[float, float]:
-        """What noise, mesh and time step leave of some validation recordings, and the error there
-        of predictions to which what the latter two leave is added [m]."""
-        rod, few = self.rod, self.resolved
-        windows = self.validation.part(few)
-        floor, lacking = rod.floor(windows, now.model, now.values, now.predicted[few])
-        return floor, rod.error(windows, now.predicted[few] + lacking)
 
     def _damped_after_all(self, now: _Fitted) -> None:
         """Internal damping may count only beside effects that were found later."""
@@ -303,14 +308,14 @@ class _Selection:
             return
         rest = Model(tuple(e for i, e in enumerate(now.model.effects) if i != place))
         values = np.concatenate([v for i, v in enumerate(parts) if i != place])
-        gain = 1.0 - now.validation / self._fit(rest, values, steps=3).validation
+        gain = 1.0 - now.validation / self._resolved(rest, values).validation
         if gain >= LEAST_GAIN:
             reason = f"{first.reason}, with the later effects by {100 * gain:.1f} %"
             self.rounds[0] = replace(first, accepted=BASE[2], reason=reason)
 
     def _without_idle(self, now: _Fitted) -> _Fitted:
         """The model without effects that later ones have made idle, the oldest looked at first."""
-        loss = losses_of(self.rod, self.medium, now.model, now.values)
+        loss = losses_of(self.rod, now.medium, now.model, now.values)
         for effect in now.model.effects[len(BASE) : -1]:
             if loss[effect.name] > _BUSY:
                 continue
@@ -319,7 +324,7 @@ class _Selection:
             model = Model(tuple(e for e, k in zip(now.model.effects, keep, strict=True) if k))
             parts = now.model.split(now.values)
             values = np.concatenate([v for v, k in zip(parts, keep, strict=True) if k])
-            less = self._fit(model, values, steps=3)
+            less = self._resolved(model, values)
             gain = 1.0 - now.validation / less.validation
             if gain < LEAST_GAIN:
                 reason = f"with the later effects it {_lowers(gain)}"

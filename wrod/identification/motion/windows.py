@@ -33,6 +33,7 @@ class Windows:
             one plane starts without twist.
         arc_length: (W, M) of the markers, the same for all windows [m].
         length_change: (W, M - 1) what to add to the rod's length between markers [m].
+        lacking: (W, F, M, 3) what to add to predictions: what mesh and time step lack [m].
     """
 
     recording: np.ndarray
@@ -45,6 +46,7 @@ class Windows:
     grip_director: np.ndarray
     length_change: np.ndarray
     arc_length: np.ndarray
+    lacking: np.ndarray
 
     def part(self, index: np.ndarray) -> Windows:
         """Some of them."""
@@ -93,6 +95,7 @@ def windows_of(
         np.stack(director),
         m.length_change(recording, start),
         np.repeat(m.marker_arc_length[None], len(recording), axis=0),
+        np.zeros_like(markers),
     )
 
 
