@@ -12,6 +12,7 @@ from wrod.errors import DataError
 from wrod.identification.effect import Effect, Model, Parameter, effects
 from wrod.identification.motion import selection
 from wrod.identification.motion import solver as motion_solver
+from wrod.identification.motion.confounding import correlations_of
 from wrod.identification.motion.fit import Linearised, MotionLaboratory
 from wrod.identification.motion.loading import motion_from_arrays
 from wrod.identification.motion.noise import noise_in_time
@@ -218,6 +219,28 @@ def test_a_loss_is_that_of_the_other_parameters_fitted_anew():
     assert loss == pytest.approx(
         {"a": 0.5 * 0.25 * (2 - 1 / 3) / 2, "b": 0.5 * 4 * (3 - 1 / 2) / 2}
     )
+
+
+@pytest.mark.parametrize("rank", [1, 9])
+def test_effects_correlate_as_their_covariance_says(rank):
+    """Also where recordings tell one combination alone: an identification ended there."""
+    jacobian = np.random.default_rng(2).normal(size=(rank, 4))
+    hessian = jacobian.T @ jacobian * [[1e6], [1.0], [1.0], [1e-6]] * [1e6, 1.0, 1.0, 1e-6]
+
+    class Fitted:
+        def linearise(self, windows, model, values):
+            return Linearised(2.0, hessian, np.zeros(4), 0.0, 0, hessian)
+
+    two = tuple(_Shift(name, (1, 0, 0)) for name in "ab")
+    for effect in two:
+        effect.parameters *= 2
+    _, found = correlations_of(Fitted(), None, Model(two), np.zeros(4), [])
+    expected = 1.0
+    if rank > 1:
+        c = np.linalg.inv(hessian)
+        squares = np.linalg.solve(c[:2, :2], c[:2, 2:]) @ np.linalg.solve(c[2:, 2:], c[2:, :2])
+        expected = np.sqrt(np.linalg.eigvals(squares).real.max())
+    assert found[0, 1] == pytest.approx(expected, rel=1e-6)
 
 
 def test_candidates_are_linearised_about_the_present_model():

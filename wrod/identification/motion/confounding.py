@@ -5,6 +5,8 @@ import numpy as np
 from wrod.identification.effect import Effect, Model
 
 CONFOUNDED = 0.9
+# Share of a parameter's own curvature below which what no recording tells is taken for round-off.
+_TOLD = 1e-9
 
 
 def start_of(effect: Effect) -> np.ndarray:
@@ -42,6 +44,14 @@ def linearised_beside(rod, windows, model: Model, values: np.ndarray, left: list
     return shared.part(own), [parts[k] for k in range(len(left))]
 
 
+def _root(hessian: np.ndarray) -> np.ndarray:
+    """(P, P) of which the columns' products are the covariance of parameters, each in units of its
+    own: correlations have none."""
+    size = np.sqrt(np.diag(hessian))
+    told = hessian / np.outer(size, size) + _TOLD * np.eye(len(size))
+    return np.linalg.inv(np.linalg.cholesky(told))
+
+
 def correlations_of(rod, windows, model, values, left) -> tuple[tuple[str, ...], np.ndarray]:
     """Names and (E, E) largest canonical correlations between effects' parameters."""
     now, beside = linearised_beside(rod, windows, model, values, left)
@@ -50,19 +60,17 @@ def correlations_of(rod, windows, model, values, left) -> tuple[tuple[str, ...],
     parts = model.split(np.arange(len(values)))
     out = np.eye(len(names))
 
-    def between(covariance, a, b):
-        whiten_a, whiten_b = (
-            np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(i, i)])) for i in (a, b)
-        )
-        return np.linalg.norm(whiten_a @ covariance[np.ix_(a, b)] @ whiten_b.T, 2)
+    def between(root, a, b):
+        white_a, white_b = (np.linalg.qr(root[:, i])[0] for i in (a, b))
+        return np.linalg.norm(white_a.T @ white_b, 2)
 
     for j in range(len(names)):
         # An effect that was left out joins the chosen ones alone.
         at = now if j < chosen else beside[j - chosen]
         last = parts[j] if j < chosen else np.arange(len(values), len(at.gradient))
-        covariance = np.linalg.inv(at.hessian)
+        root = _root(at.hessian)
         for i in range(min(j, chosen)):
-            out[i, j] = out[j, i] = between(covariance, parts[i], last)
+            out[i, j] = out[j, i] = between(root, parts[i], last)
     return names, out
 
 
