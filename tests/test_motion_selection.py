@@ -26,9 +26,8 @@ from wrod.identification.motion.tangents import COMPLEX_STEP
 RECORDINGS, FRAMES, MARKERS = 12, 16, 9
 
 
-@pytest.fixture(scope="module")
-def measured():
-    """Arcs between two grips that point down, swung along with them."""
+def swung_arcs() -> np.ndarray:
+    """(R, F, M, 3) arcs between two grips that point down, swung along with them."""
     s = np.linspace(0.0, np.pi, MARKERS - 2)
     arc = 0.2 * np.stack([-np.cos(s), 0.0 * s, -np.sin(s)], axis=1)
     up = np.array([0.0, 0.0, 0.03])
@@ -38,7 +37,12 @@ def measured():
     swing = 0.05 * np.concatenate([np.sin(6 * time + phase), np.cos(5 * time + phase)], axis=2)
     positions = np.broadcast_to(arc, (RECORDINGS, FRAMES, MARKERS, 3)).copy()
     positions[..., :2] += swing[:, :, None]
-    return motion_from_arrays(recorded(positions))
+    return positions
+
+
+@pytest.fixture(scope="module")
+def measured():
+    return motion_from_arrays(recorded(swung_arcs()))
 
 
 def recorded(positions) -> dict:

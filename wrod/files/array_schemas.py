@@ -203,6 +203,7 @@ ARRAYS = {
             "held": _indices(4, about="markers inside the grips: the first and last two"),
             "gravity": _GRAVITY,
             "file_ids": _optional("R", kind="names"),
+            "time": _optional("R", "F", unit="s", about="of frames, where some were lost"),
         },
         least={"R": 2, "F": 12, "M": 6},
         axes={"R": "recording", "F": "frame", "M": "marker"},

@@ -21,6 +21,11 @@ _JUMP = 0.6
 _SLOW, _TOGETHER = 0.3, 0.9
 # Noise over the rod's length that no marker has.
 _RESTLESS = 0.02
+# Over the rod's length, what does not move; over its neighbours' way, that of a marker that is
+# something else than one.
+_STILL, _STUCK = 1e-3, 0.02
+# A rod that hangs so much of its length to one side, this far from straight down (cosine).
+_SAGS, _DOWN = 0.03, 0.5
 
 
 def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
@@ -45,6 +50,8 @@ def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
     if not (mean > 0).all():
         m = int(np.argmin(mean))
         raise DataError(f"{where}: markers {m} and {m + 1} are in the same place")
+    step = np.linalg.norm(np.diff(x, axis=1), axis=3)
+    _check_moving(x, step, length, names, where)
     ratio = np.median(edge, axis=1) / mean
     if ratio.max() > 1.5 or ratio.min() < 0.5:
         r, m = np.unravel_index(np.argmax(np.abs(np.log(ratio))), ratio.shape)
@@ -53,7 +60,6 @@ def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
             f"{1e3 * np.median(edge[r, :, m]):.0f} mm apart, {1e3 * mean[m]:.0f} mm in the others; "
             "are its markers in another order, or is it of another rod?"
         )
-    step = np.linalg.norm(np.diff(x, axis=1), axis=3)
     middle = np.median(step, axis=2)
     typical = np.median(middle)
     if typical * rate > _FAST:
@@ -85,6 +91,44 @@ def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
         raise DataError(
             f"{where}: markers are accelerated by {hurry:.0f} m/s^2 in the median, which no grip "
             f"does to a rod; is rate_hz, {rate:g}, the rate of these frames?"
+        )
+
+
+def _check_moving(x: np.ndarray, step: np.ndarray, length: float, names, where: str) -> None:
+    """Whether recordings move, frame by frame and marker by marker, given their steps [m]."""
+    travel = np.linalg.norm(x.std(axis=1), axis=2)
+    if travel.max() < _STILL * length:
+        raise DataError(
+            f"{where}: no marker moves by more than {2e3 * travel.max():.3f} mm in any recording; "
+            "give recordings in which the grips move the rod"
+        )
+    stands = step.max(axis=2) == 0.0
+    if stands.any():
+        r, f = np.argwhere(stands)[0]
+        raise DataError(
+            f"{where}: frame {f + 1} of recording {names[r]} repeats the one before it "
+            f"({stands.sum()} such frames in all); give each frame once, with rate_hz as the rate "
+            "of these, or NaN where markers were not seen for a few frames"
+        )
+    beside = np.minimum(travel[:, 1:-3], travel[:, 3:-1])
+    stuck = (travel[:, 2:-2] < _STUCK * beside) & (beside > _STILL * length)
+    if stuck.any():
+        r, m = np.argwhere(stuck)[0]
+        raise DataError(
+            f"{where}: marker {m + 2} of recording {names[r]} stands still while its neighbours "
+            f"move by {2e3 * beside[r, m]:.0f} mm; leave it out, or the recording"
+        )
+    # In one frame each grip goes to where the other was.
+    grip = np.stack([x[:, :, :2].mean(axis=2), x[:, :, -2:].mean(axis=2)], axis=2)
+    stays, changes = (
+        np.linalg.norm(grip[:, 1:] - before[:, :-1], axis=3) for before in (grip, grip[:, :, ::-1])
+    )
+    turned = np.argwhere((stays > _FARTHER * changes).all(axis=2))
+    if len(turned):
+        r, f = turned[0]
+        raise DataError(
+            f"{where}: in frame {f + 1} of recording {names[r]} each grip is where the other one "
+            "was in the frame before; reverse the markers of the frames from there on"
         )
 
 
@@ -160,6 +204,32 @@ def doubt_slow_motion(x: np.ndarray, rate: float, gravity: float, where: str) ->
         warnings.warn(
             f"{where}: the rod swings as one whose frames come {share**-0.5:.1f} times faster than "
             f"rate_hz, {rate:g}, or more; check it (a stiff rod that its grips turn also does)",
+            WrodWarning,
+            stacklevel=4,
+        )
+
+
+def doubt_gravity(x: np.ndarray, where: str) -> None:
+    """Warn where rods hang another way than down: z is up, which not all cameras' axes have.
+
+    Args:
+        x: (R, F, M, 3) positions [m].
+
+    Warns:
+        WrodWarning: names the way. A stiff rod that its grips push up hangs so, too.
+    """
+    start, end = x[:, :, 1], x[:, :, -2]
+    line = end - start
+    line = line / np.linalg.norm(line, axis=-1, keepdims=True)
+    sag = x[:, :, 2:-2].mean(axis=2) - 0.5 * (start + end)
+    sag = (sag - np.sum(sag * line, axis=-1, keepdims=True) * line).mean(axis=(0, 1))
+    length = np.linalg.norm(np.diff(x, axis=2), axis=3).mean(axis=(0, 1)).sum()
+    size = np.linalg.norm(sag)
+    if size > _SAGS * length and -sag[2] < _DOWN * size:
+        way = ", ".join(f"{v:.2f}" for v in sag / size)
+        warnings.warn(
+            f"{where}: between its grips the rod hangs towards ({way}) on average, not down along "
+            "-z; are positions those of axes with z up?",
             WrodWarning,
             stacklevel=4,
         )

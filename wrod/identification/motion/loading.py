@@ -8,9 +8,18 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import DataError
 from wrod.files import check_arrays, read_arrays, read_fields
-from wrod.identification.motion.checks import check_positions, doubt_slow_motion
+from wrod.identification.motion.checks import (
+    check_positions,
+    doubt_gravity,
+    doubt_slow_motion,
+)
 from wrod.identification.motion.data import MotionMeasurements
-from wrod.identification.motion.repair import frame_gaps, gaps_filled, sorted_grips
+from wrod.identification.motion.repair import (
+    frame_gaps,
+    gaps_filled,
+    sorted_grips,
+    told_gaps,
+)
 from wrod.identification.motion.split import split_evenly
 
 
@@ -27,7 +36,8 @@ def load_motion(path: str | os.PathLike[str]) -> MotionMeasurements:
     """Read recordings of a rod in motion (.npz) and check them.
 
     The fields are `positions` (R, T, M, 3) [m], `rate_hz`, `held` (the four markers inside the
-    grips: the first two and the last two), `gravity` [m/s^2] and optionally `file_ids` (R,).
+    grips: the first two and the last two), `gravity` [m/s^2] and optionally `file_ids` (R,) and
+    `time` (R, T) [s]. Frames that were lost are told by the grips' jumps where there is no `time`.
 
     Raises:
         DataError: the file is unreadable or lacks a field, or a value cannot be right; the
@@ -57,7 +67,11 @@ def _checked(data: dict, name: str, where: str) -> MotionMeasurements:
     check_positions(x, names, rate, where)
     x, repaired = sorted_grips(x)
     doubt_slow_motion(x, rate, data["gravity"], where)
-    gap = np.stack([frame_gaps(recording[:, [0, 1, -2, -1]]) for recording in x])
+    doubt_gravity(x, where)
+    if "time" in data:
+        gap = told_gaps(data["time"], rate, names, where)
+    else:
+        gap = np.stack([frame_gaps(recording[:, [0, 1, -2, -1]]) for recording in x])
     fit, validation, test = split_evenly(recordings)
     return MotionMeasurements(
         name,

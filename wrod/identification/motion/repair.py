@@ -3,12 +3,16 @@
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from wrod.errors import DataError
+
 # A grip's step over this many times its neighbours' mean is checked for lost frames, and is one
 # where multiplying the time explains it to this share of the step.
 _LOST_RATIO = 1.6
 _LOST_MISFIT = 0.35
 _LOST_LEAST = 2e-3
 _MOST_LOST = 24
+# Part of a frame by which time stamps may be off.
+_UNEVEN = 0.3
 # Frames of one marker that are filled from so many seen ones on either side.
 _SHORT_GAP, _AROUND = 6, 6
 
@@ -56,6 +60,30 @@ def gaps_filled(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
                 x[r, a:b, m] = path(frames[a:b])
                 count[r] += b - a
     return x, count
+
+
+def told_gaps(time: np.ndarray, rate: float, names, where: str) -> np.ndarray:
+    """(R, T - 1) frame durations between recorded frames, from (R, T) time stamps [s].
+
+    Raises:
+        DataError: a time is before the last one, not at a whole frame, or long after it.
+    """
+    step = np.diff(time, axis=1) * rate
+    gap = np.rint(step).astype(int)
+    bad = np.argwhere((gap < 1) | (gap > _MOST_LOST) | (np.abs(step - gap) > _UNEVEN))
+    if len(bad):
+        r, f = bad[0]
+        remedy = "bring the frames to even times, or check rate_hz"
+        if step[r, f] > _MOST_LOST:
+            remedy = "make two recordings of it"
+        elif step[r, f] <= 0.0:
+            remedy = "give the frames in their order"
+        raise DataError(
+            f"{where}: time of recording {names[r]} goes from {time[r, f]:g} s in frame {f} to "
+            f"{time[r, f + 1]:g} s in the next, {step[r, f]:.3g} frames of rate_hz ({len(bad)} "
+            f"such steps in all); {remedy}"
+        )
+    return gap
 
 
 def frame_gaps(held: np.ndarray) -> np.ndarray:
