@@ -91,7 +91,7 @@ def test_bad_photographs_are_named(tmp_path):
     with pytest.raises(DataError, match="ROD-PATTERN-METHOD"):
         load_photograph(write(tmp_path / "rope.npz"))
     with pytest.raises(DataError, match="holds no file"):
-        load_photographs(tmp_path, "opt")
+        load_photographs(tmp_path / "elsewhere")
 
 
 def test_one_rigid_motion_is_taken_out(tmp_path):

@@ -84,7 +84,7 @@ def test_what_is_put_down_goes_with_the_robot_and_is_the_rod_of_the_trial():
     hows = [Disturbance(), aside, Disturbance(natural_curvature=20.0), Disturbance(lgb_error=0.2)]
     courses = [(arc, wrod.rod("green-vps"), Friction(0.4), how) for how in hows]
     still, moved, bent, stiff = (
-        place for _, place, *_ in put_down(courses, node_count=17, step=0.02, device="cpu")
+        place for _, place, *_ in put_down(courses, node_count=17, step=0.02)
     )
     start = arc.sample(0.0)[0][0]
     assert np.abs(aside.displaced(still, start) - moved)[:, :2].max() < 1e-6

@@ -187,7 +187,6 @@ def want_begun(
     node: wp.array2d(dtype=Inelastic),
     # State in:
     chosen: wp.array(dtype=wp.int32),
-    step: OneStep,
     # State in and out:
     now: Wanted,
     model: WantedModel,

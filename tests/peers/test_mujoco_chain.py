@@ -92,7 +92,7 @@ def test_a_bent_rod_straightens_as_in_our_own_engine(mu):
     )
     s, place = put_down_in_mujoco(arc, ROD, mu, step=0.001)
     ((own_s, own, _, _),) = put_down(
-        [(arc, ROD, Friction(mu), Disturbance())], node_count=33, step=0.005, device="cpu"
+        [(arc, ROD, Friction(mu), Disturbance())], node_count=33, step=0.005
     )
     left, own_left = (
         np.linalg.norm((x - arc.sample(at)[0])[:, :2], axis=1)

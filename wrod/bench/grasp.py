@@ -213,9 +213,9 @@ def cpu_work(row: dict) -> dict:
     measured: a product of matrices, and a copy of more than caches hold."""
     import numpy as np
 
-    def best(do, times: int = 5) -> float:
+    def best(do) -> float:
         walls = []
-        for _ in range(times):
+        for _ in range(5):
             cpu = time.process_time()
             do()
             walls.append(time.process_time() - cpu)

@@ -57,10 +57,9 @@ def period_of(samples, dt: float) -> float:
     return 2.0 * np.diff(crossings).mean() * dt if len(crossings) > 1 else float("nan")
 
 
-def momentum(
-    scheme: str = "bdf2", steps: int = 60, dt: float = 0.004, inertia: str = "lumped"
-) -> float:
+def momentum(scheme: str, inertia: str = "lumped") -> float:
     """Error of the momentum of a falling cable with a body as heavy as itself, over what it is."""
+    steps, dt = 60, 0.004
     model, body = hung(
         RUBBER, 0.002, (2e-7, 3e-7, 4e-7), way=(1.0, 0.0, 0.0), centre=(0.01, 0.003, 0.002)
     )
@@ -101,9 +100,9 @@ def pendulum() -> tuple[float, float]:
     return period_of(places, dt), expected
 
 
-def torsion(scheme: str = "bdf2", length: float = 0.2) -> tuple[float, float]:
+def torsion(scheme: str) -> tuple[float, float]:
     """Period of a disc that a cable turns, and 2 pi sqrt((I + J / 3) L / GJ) [s]."""
-    inertia = 2e-7
+    inertia, length = 2e-7, 0.2
     model, body = hung(RUBBER, 1e-3, (1e-6, 1e-6, inertia), gravity=0.0, start="clamped")
     stiffness = model.der.node_twisting_stiffness.numpy()[1]
     own = 0.5 * RUBBER.radius**2 * RUBBER.weight / RUBBER.gravity * length

@@ -118,9 +118,9 @@ def borne(density: float, device: str = "cpu") -> tuple[float, float, Simulation
     return -float(simulation.pressed()[2]), simulation.weight(box), simulation
 
 
-def slide(angle: float, mu: float = 0.5, device: str = "cpu") -> float:
+def slide(angle: float, device: str = "cpu") -> float:
     """Acceleration of a box on two stiff bars down a slope [m/s^2]."""
-    simulation = Simulation((_G * np.sin(angle), 0.0, -_G * np.cos(angle)), mu)
+    simulation = Simulation((_G * np.sin(angle), 0.0, -_G * np.cos(angle)))
     for y in (-0.04, 0.04):
         simulation.rod(along(0, 0.6, 30, (0.0, y, 0.0)), BAR, start="clamped", end="clamped")
     box = simulation.box((-0.1, 0.0, 0.024))

@@ -139,17 +139,16 @@ def gradients_of_steps(device: str, worlds: int, edges: int, steps: int = 40) ->
     }  # fmt: skip
 
 
-def measure(
-    device: str, worlds: int, cables: int, edges: int, seconds: float = 1.0
-) -> Iterator[dict]:
+def measure(device: str, worlds: int, cables: int, edges: int) -> Iterator[dict]:
     """Rows of all scenes, as they come; a scene that fails yields its error."""
+    seconds = 1.0
     scenes = [
         lambda: worlds_of_cables(device, worlds, edges, seconds),
         lambda: worlds_of_cables(device, worlds, edges, seconds, armed=True),
         lambda: graph_of_a_step(device, 1, edges),
         lambda: graph_of_a_step(device, worlds, edges),
         lambda: gradients_of_steps(device, worlds, edges),
-        lambda: piles(device, cables, edges, round(240 * seconds)),
+        lambda: piles(device, cables, edges, 240),
         lambda: worlds_of_cables(device, worlds, edges, seconds, (10,)),
         lambda: worlds_of_cables(device, worlds, edges, seconds, (10,), armed=True),
     ]

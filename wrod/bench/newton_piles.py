@@ -30,7 +30,8 @@ class Pile:
 
     radius, friction, frame = 0.003, (0.5, 0.3), _FRAME
 
-    def __init__(self, cables: int = 6, edges: int = 20, length: float = 0.2, device: str = "cpu"):
+    def __init__(self, cables: int = 6, edges: int = 20, device: str = "cpu"):
+        length = 0.2
         arc = np.linspace(-0.5 * length, 0.5 * length, edges + 1)
         generator = np.random.default_rng(5)
         rods = []

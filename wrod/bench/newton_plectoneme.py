@@ -11,7 +11,7 @@ from wrod.newton_solver import SolverDER
 from wrod.patterns.curve import smoothstep
 from wrod.rods.model import RodModel
 
-_LENGTH, _RADIUS, _BENDING = 0.5, 0.004, 1e-3
+_LENGTH, _SLACK, _RADIUS, _BENDING = 0.5, 0.38, 0.004, 1e-3
 _NEARING, _TURNING, _RESTING, _RATE = 1.0, 3.0, 3.0, 60  # [s], [s], [s], [1/s]
 
 
@@ -40,8 +40,8 @@ class Ply:
         return s**4 * (2.0 * c**2 / c2 - 0.5), 2.0 * s**3 * c / c2
 
 
-def wind(edges: int, turns: float, slack: float) -> Ply:
-    """Hands bring the ends of a cable nearer by `slack` [m], then turn one of them."""
+def wind(edges: int, turns: float) -> Ply:
+    """Hands bring the ends of a cable nearer, then turn one of them."""
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
     SolverDER.register_custom_attributes(builder)
     t = np.linspace(0.0, 1.0, edges + 1)
@@ -62,7 +62,7 @@ def wind(edges: int, turns: float, slack: float) -> Ply:
         time = (k + 1) / _RATE
         half = np.pi * turns * smoothstep((time - _NEARING) / _TURNING)
         poses = state.body_q.numpy()
-        poses[hands[1], 0] = _LENGTH - slack * smoothstep(time / _NEARING)
+        poses[hands[1], 0] = _LENGTH - _SLACK * smoothstep(time / _NEARING)
         poses[hands[1], 3:] = [np.sin(half), 0.0, 0.0, np.cos(half)]
         state.body_q.assign(poses)
         solver.step(state, state, None, None, 1.0 / _RATE)
@@ -98,7 +98,7 @@ def ply_of(q: np.ndarray) -> tuple[float, float]:
 def measure() -> Iterator[tuple[str, str, str]]:
     """Rows of found and expected."""
     for edges, turns in ((160, 8.0), (160, 10.0), (320, 10.0)):
-        ply = wind(edges, turns, 0.38)
+        ply = wind(edges, turns)
         force, moment = ply.expected()
         what = f"plectoneme of {edges} edges at {np.degrees(ply.angle):.2f} degrees"
         found = f"{ply.force:.4f}, {ply.moment:.4f}"

@@ -81,9 +81,9 @@ class Plugs:
         return 9.81 * (float(mass) + self.model.der.node_mass.numpy().sum())
 
 
-def acceleration(angle: float, *, mu: float = 0.5, round_ones: bool = False) -> float:
+def acceleration(angle: float, *, round_ones: bool = False) -> float:
     """Of a box or a ball down a slope, from rest, once it has settled [m/s^2]."""
-    scene = Plugs([(0.0, 0.0, SIZE)], round_ones=round_ones, mu=mu, angle=angle)
+    scene = Plugs([(0.0, 0.0, SIZE)], round_ones=round_ones, angle=angle)
     scene.begin()
     steps = 48 if round_ones else 96  # a ball rolls onto its thread in the end
     x, t = scene.run(steps)[:, 0, 0], _STEP * np.arange(1, steps + 1)

@@ -14,7 +14,7 @@ _REST = 3.0
 
 
 def put_down(
-    courses: list[tuple], *, node_count: int, step: float, device: str
+    courses: list[tuple], *, node_count: int, step: float
 ) -> list[tuple[np.ndarray, np.ndarray, bool, int]]:
     """Rods put down exactly, and where they lie after three seconds.
 
@@ -22,7 +22,6 @@ def put_down(
         courses: (pattern with its remainder, rod, `Friction`, `Disturbance`) of each rod.
         node_count: nodes of every rod.
         step: largest time step [s].
-        device: "cpu" or "cuda:0".
 
     Returns:
         For each rod its nodes' arc length (node,) and position (node, 3) [m], whether it diverged,
@@ -44,7 +43,7 @@ def put_down(
         places.append(how.displaced(place, place[0]))
         directors.append(how.turned(np.cross([0.0, 0.0, 1.0], tangent[0])))
     batch, dynamics = left_alone(
-        rods, arc_length, np.stack(places), np.stack(directors), list(friction), device
+        rods, arc_length, np.stack(places), np.stack(directors), list(friction), "cpu"
     )
     end = dynamics.advance(_REST, step)
     return list(

@@ -299,7 +299,7 @@ def _course(shelf: Shelf, key: tuple, how: dict):
         edges = (led.length + led.remainder_length) / how["discretisation"].spacing
         nodes = int(edges) + 2
         job = (led, material, Friction(mu), told)
-        (end,) = put_down([job], node_count=nodes, step=how["discretisation"].step, device="cpu")
+        (end,) = put_down([job], node_count=nodes, step=how["discretisation"].step)
         s, place, diverged, steps = end
     elif method == MISPLACED:
         s = np.linspace(-led.remainder_length, led.length, 400)

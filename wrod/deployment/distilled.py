@@ -21,7 +21,6 @@ def distilled(
     rod: RodModel | RodMaterial,
     trajectory: Trajectory,
     friction: float,
-    corrector: Corrector | None = None,
 ) -> Trajectory:
     """Correct a trajectory's positions for a table as `wrod.deployment.optimise` would.
 
@@ -30,7 +29,6 @@ def distilled(
         rod: what is laid, straight at rest and uniform.
         trajectory: to start from, as `wrod.plan` returns it by method "auto".
         friction: coefficient of the table [-].
-        corrector: the network; None is the one that ships.
 
     Returns:
         The corrected trajectory. `metadata["distilled"]` says the friction and the largest
@@ -48,9 +46,10 @@ def distilled(
             "the distilled corrections know straight uniform rods only; let friction optimise the "
             "plan (method 'auto')"
         )
-    corrector = corrector or Corrector.load()
     corrections = Corrections(pattern, trajectory, rod.gravito_bending_length, _HOLD)
-    values = corrections.nearest(corrector.predict(asked(pattern, rod, trajectory, friction)))
+    values = corrections.nearest(
+        Corrector.load().predict(asked(pattern, rod, trajectory, friction))
+    )
     corrected = corrections.apply(values)
     largest = float(np.abs(corrections.displacement(values)).max())
     said = {"friction": friction, "largest_correction": largest}

@@ -56,13 +56,12 @@ class GripPath:
         return self._position(laid), self._rotation(laid)
 
 
-def travel(
-    distance: float, speed: float, ease: float = 0.4
-) -> tuple[float, Callable[[np.ndarray], np.ndarray]]:
+def travel(distance: float, speed: float) -> tuple[float, Callable[[np.ndarray], np.ndarray]]:
     """Smooth time law over `distance`: its duration [s], and the distance covered at t (n,).
 
-    Speed rises and falls over `ease` seconds each with the quintic smoothstep.
+    Speed rises and falls over 0.4 s each with the quintic smoothstep.
     """
+    ease = 0.4
     if distance <= 0.0:
         return 0.0, lambda t: np.zeros_like(t)
     if distance < speed * ease:

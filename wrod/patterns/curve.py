@@ -49,14 +49,14 @@ def lead_in(heading: PPoly, length: float) -> PPoly:
 
 
 def heading_of_curve(
-    curve: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], start: float, stop: float
+    curve: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], stop: float
 ) -> tuple[PPoly, np.ndarray]:
-    """Heading along the arc length of an exact parametric curve t -> (x, y), and its first point.
+    """Heading along the arc length of an exact curve t -> (x, y) from t = 0, and its first point.
 
     The curve is interpolated at 4001 values of t, to about 1e-9 of its length if its features
     are longer than a hundredth of it.
     """
-    t = np.linspace(start, stop, 4001)
+    t = np.linspace(0.0, stop, 4001)
     x, y = curve(t)
     position = make_interp_spline(t, np.stack([x, y], axis=1), 7)
     velocity = position.derivative()
@@ -73,7 +73,7 @@ def heading_of_curve(
     arc = np.concatenate([[0.0], np.cumsum(half * speed @ _WEIGHTS)])
     tangent = velocity(t)
     heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
-    return PPoly.from_spline(make_interp_spline(arc, heading, 5)), position(start)
+    return PPoly.from_spline(make_interp_spline(arc, heading, 5)), position(0.0)
 
 
 def heading_of_curvature(curvature: PPoly, angle: float) -> PPoly:

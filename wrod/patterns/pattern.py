@@ -247,7 +247,7 @@ class Pattern:
                 f"{name}: is {steps.sum():.3g} m long; a pattern has 0.1 mm to 1 km, so check "
                 "units and range"
             )
-        return cls(*heading_of_curve(curve, 0.0, 1.0), name=name)
+        return cls(*heading_of_curve(curve, 1.0), name=name)
 
     def __repr__(self) -> str:
         return f"<Pattern {self.name!r}, {self.length:.4g} m>"

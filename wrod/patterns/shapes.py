@@ -45,7 +45,7 @@ def strokes(angle: float, *parts: list[tuple[float, float, float]]) -> tuple[PPo
 
 def _sine() -> tuple[PPoly, np.ndarray]:
     # From a crest, so that it starts along x: two periods of 0.28 m, amplitude 35 mm.
-    return heading_of_curve(lambda t: (0.28 * t, 0.035 * np.cos(2 * pi * t)), 0.0, 2.0)
+    return heading_of_curve(lambda t: (0.28 * t, 0.035 * np.cos(2 * pi * t)), 2.0)
 
 
 def _circle() -> tuple[PPoly, np.ndarray]:

@@ -183,11 +183,11 @@ def _of_closure(closure: str) -> Controller:
     return Controller.load(closure=closure)
 
 
-def _shipped(default: str, closure: str) -> Controller:
-    """The controller of a closure that ships, or that of `default`; read once."""
+def _shipped(closure: str) -> Controller:
+    """The controller of a closure that ships, or that of zero tension; read once."""
     from wrod.controller.controller import SHIPPED
 
-    return _of_closure(closure if closure in SHIPPED else default)
+    return _of_closure(closure if closure in SHIPPED else "zero_tension")
 
 
 def _neural(inputs: GraspInputs) -> Grasps:
@@ -199,7 +199,7 @@ def _neural(inputs: GraspInputs) -> Grasps:
             "at rest; train one for it with `wrod dataset --rod` and `wrod train`, or use method "
             "'numeric' or 'auto'"
         )
-    controller = inputs.controller or _shipped("zero_tension", inputs.closure)
+    controller = inputs.controller or _shipped(inputs.closure)
     if inputs.closure != controller.closure:
         raise GraspError(
             f"the controller knows closure {controller.closure!r} only, not {inputs.closure!r}; "
@@ -222,7 +222,7 @@ def _auto(inputs: GraspInputs) -> Grasps:
     if inputs.rod is not None:
         _refuse_varying(inputs)
         return _numeric(inputs)
-    controller = inputs.controller or _shipped("zero_tension", inputs.closure)
+    controller = inputs.controller or _shipped(inputs.closure)
     known = ~controller.out_of_range(
         inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
     )

@@ -94,10 +94,10 @@ class Task:
         least = min((float(gap.min()) for gap in near.values() if gap.numel()), default=math.inf)
         return branch.cost + 10.0 * max(0.0, GAP_ROOM - least)
 
-    def best(self, branches: list[Branch], count: int = _TRIED) -> Solution | None:
+    def best(self, branches: list[Branch]) -> Solution | None:
         """The best path over the first few branches, feasible or not."""
         best = None
-        for branch in branches[:count]:
+        for branch in branches[:_TRIED]:
             if best is not None and branch.excess.max() > _HOPELESS:
                 continue
             solution = self.finish(branch)

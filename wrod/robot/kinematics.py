@@ -141,7 +141,7 @@ def grasp_poses(robot: Robot, positions: np.ndarray) -> np.ndarray:
 
 
 def solve_poses(
-    robot: Robot, target: np.ndarray, seeds: np.ndarray, iterations: int = 40
+    robot: Robot, target: np.ndarray, seeds: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Inverse kinematics of several poses from several seeds each (`PseudoInverseIK`).
 
@@ -160,7 +160,7 @@ def solve_poses(
         pos_tolerance=1e-4,
         rot_tolerance=1e-4,
         retry_configs=torch.from_numpy(np.array(seeds, dtype=np.float64)),
-        max_iterations=iterations,
+        max_iterations=40,
         early_stopping_no_improvement=None,
         regularlization=1e-6,
         lr=0.7,

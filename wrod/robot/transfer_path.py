@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -67,14 +68,15 @@ class HandFollower:
         grasps: the ways to hold the rod, the best first.
         interval: (frame - 1,) seconds between the frames.
         before: (n,) where the arm comes from: branches near that are preferred [rad].
+
+    Attributes:
         other: the other arm's capsules at these frames as far as they are known, else None.
     """
 
-    def __init__(
-        self, arm: Arm, transfer: Transfer, grasps: list[Grasp], interval, before, other=None
-    ):
+    def __init__(self, arm: Arm, transfer: Transfer, grasps: list[Grasp], interval, before):
         self.arm, self.transfer, self.grasps = arm, transfer, grasps
-        self.interval, self.before, self.other = interval, before, other
+        self.interval, self.before = interval, before
+        self.other: Any = None
         self.frames = coarse_frames(transfer)
         self.travel = transfer_travel(transfer)
 

@@ -134,9 +134,7 @@ def _surround(stage, deployments, points: np.ndarray, floor: float, materials) -
     """Floor, lights and cameras around all points (n, 3) that are seen [m]."""
     low, high = points.min(0), points.max(0)
     room = 4.0  # [m] of floor around everything
-    add_floor(
-        stage, "/World/floor", (low + high)[:2] / 2, (high - low)[:2] + 2 * room, floor, materials
-    )
+    add_floor(stage, (low + high)[:2] / 2, (high - low)[:2] + 2 * room, floor, materials)
     add_lights(stage)
     patterns = np.concatenate([item.corners for item in deployments])
     add_cameras(

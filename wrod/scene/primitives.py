@@ -3,36 +3,37 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+_MATERIALS = "/World/Materials"
+
 
 class Materials:
     """Preview materials of a stage, one per colour."""
 
-    def __init__(self, stage, root: str = "/World/Materials"):
+    def __init__(self, stage):
         from pxr import UsdGeom
 
-        self._stage, self._root, self._known = stage, root, {}
-        UsdGeom.Scope.Define(stage, root)
+        self._stage, self._known = stage, {}
+        UsdGeom.Scope.Define(stage, _MATERIALS)
 
-    def bind(self, prim, color, roughness: float = 0.55, metallic: float = 0.0) -> None:
+    def bind(self, prim, color) -> None:
         """Give a gprim a colour (linear RGB): display colour and preview surface."""
         from pxr import Gf, Sdf, UsdGeom, UsdShade
 
         color = tuple(round(float(c), 4) for c in color)
-        key = (color, roughness, metallic)
-        if key not in self._known:
-            path = f"{self._root}/material_{len(self._known):02d}"
+        if color not in self._known:
+            path = f"{_MATERIALS}/material_{len(self._known):02d}"
             material = UsdShade.Material.Define(self._stage, path)
             shader = UsdShade.Shader.Define(self._stage, f"{path}/surface")
             shader.CreateIdAttr("UsdPreviewSurface")
             kinds = Sdf.ValueTypeNames
             shader.CreateInput("diffuseColor", kinds.Color3f).Set(Gf.Vec3f(*color))
-            shader.CreateInput("roughness", kinds.Float).Set(roughness)
-            shader.CreateInput("metallic", kinds.Float).Set(metallic)
+            shader.CreateInput("roughness", kinds.Float).Set(0.55)
+            shader.CreateInput("metallic", kinds.Float).Set(0.0)
             output = shader.CreateOutput("surface", kinds.Token)
             material.CreateSurfaceOutput().ConnectToSource(output)
-            self._known[key] = material
+            self._known[color] = material
         UsdGeom.Gprim(prim).CreateDisplayColorAttr([Gf.Vec3f(*color)])
-        UsdShade.MaterialBindingAPI.Apply(prim).Bind(self._known[key])
+        UsdShade.MaterialBindingAPI.Apply(prim).Bind(self._known[color])
 
 
 def set_pose(prim, poses: np.ndarray, times=None) -> None:

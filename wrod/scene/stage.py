@@ -3,6 +3,7 @@
 import numpy as np
 
 FRAMES_PER_SECOND = 24.0
+_VIEW = 36.0  # [deg] that a view sees, upright
 
 
 def new_stage(first: float, last: float):
@@ -71,27 +72,25 @@ def add_cameras(stage, points: np.ndarray, front: np.ndarray, pattern: np.ndarra
     add_view(stage, "perspective", points, [*(0.80 * front + 0.95 * side), 0.50])
 
 
-def add_view(
-    stage, name: str, points: np.ndarray, back, fov: float = 36.0, later: dict | None = None
-) -> None:
+def add_view(stage, name: str, points: np.ndarray, back, later: dict | None = None) -> None:
     """Camera that looks at all of points (n, 3) [m] from the direction `back` (3,).
 
     Args:
         later: time code -> other points to look at; the camera moves between codes.
     """
-    eye, middle = _stand(points, back, fov)
-    camera = add_camera(stage, name, eye, middle, fov=fov)
+    eye, middle = _stand(points, back)
+    camera = add_camera(stage, name, eye, middle, fov=_VIEW)
     if later:
         from pxr import Gf
 
         (place,) = camera.GetOrderedXformOps()
         for code, other in later.items():
-            eye, middle = _stand(other, back, fov)
+            eye, middle = _stand(other, back)
             view = Gf.Matrix4d().SetLookAt(Gf.Vec3d(*eye), Gf.Vec3d(*middle), Gf.Vec3d(0, 0, 1))
             place.Set(view.GetInverse(), float(code))
 
 
-def _stand(points: np.ndarray, back, fov: float) -> tuple[np.ndarray, np.ndarray]:
+def _stand(points: np.ndarray, back) -> tuple[np.ndarray, np.ndarray]:
     """Where a camera stands (3,) and what it looks at (3,) [m]."""
     margin = 1.12
     back = np.asarray(back, dtype=float) / np.linalg.norm(back)
@@ -102,6 +101,6 @@ def _stand(points: np.ndarray, back, fov: float) -> tuple[np.ndarray, np.ndarray
     local = points @ frame.T
     middle = (local.min(0) + local.max(0)) / 2
     across = np.maximum(*(np.abs(local - middle)[:, :2] * [3 / 4, 1]).T)
-    distance = (local[:, 2] - middle[2] + margin * across / np.tan(np.radians(fov) / 2)).max()
+    distance = (local[:, 2] - middle[2] + margin * across / np.tan(np.radians(_VIEW) / 2)).max()
     middle = middle @ frame
     return middle + distance * back, middle

@@ -228,7 +228,7 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
         across = np.array([apart[1], -apart[0]]) / np.linalg.norm(apart)
     points = np.concatenate(seen)
     low, high = points.min(0), points.max(0)
-    add_floor(stage, "/World/floor", (low + high)[:2] / 2, (high - low)[:2] + 8.0, floor, materials)
+    add_floor(stage, (low + high)[:2] / 2, (high - low)[:2] + 8.0, floor, materials)
     add_lights(stage)
     corners = np.stack([ground.min(0) - 0.08, ground.max(0) + 0.08])
     add_cameras(stage, points, across, corners)

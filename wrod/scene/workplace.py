@@ -125,11 +125,11 @@ def add_holder(stage, path: str, parts, times, there, materials: Materials) -> N
                 visible.Set("inherited" if there[k] else "invisible", float(code))
 
 
-def add_floor(stage, path: str, centre, size, height: float, materials: Materials) -> None:
+def add_floor(stage, centre, size, height: float, materials: Materials) -> None:
     """A slab whose upper face is at `height` [m]."""
     pose = np.eye(4)
     pose[:3, 3] = *centre, height - 0.01
-    add_shape(stage, path, "box", (*size, 0.02), pose, materials, _FLOOR)
+    add_shape(stage, "/World/floor", "box", (*size, 0.02), pose, materials, _FLOOR)
 
 
 def add_pattern(stage, path: str, points, rod_radius: float, materials: Materials) -> None:

@@ -232,7 +232,7 @@ class StepAdjoint:
         """Let what is wanted of strains at the start of the rods that are not 0 in `chosen` (rod,)
         be wanted of their configuration there; `step` must be the first of all."""
         if self._past is not None:
-            self._past.want_begun(chosen, self.step, self.now, self.model)
+            self._past.want_begun(chosen, self.now, self.model)
         start = OneStep()
         start.dof, start.director = self.step.dof_before, self.step.director_before
         self._settle(chosen, start)

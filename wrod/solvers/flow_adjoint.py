@@ -53,6 +53,6 @@ class FlowAdjoint:
         """From the end of the step to its start."""
         self._launch(kernels.want_remembered, [step, x, now], [before, model])
 
-    def want_begun(self, chosen: wp.array, step: Any, now: Any, model: Any) -> None:
+    def want_begun(self, chosen: wp.array, now: Any, model: Any) -> None:
         """Of the rods that are not 0 in `chosen` (rod,), which have never been elsewhere."""
-        self._launch(kernels.want_begun, [chosen, step], [now, model])
+        self._launch(kernels.want_begun, [chosen], [now, model])

@@ -49,14 +49,15 @@ class EquilibriumSolver:
 
     Args:
         batch: the rods; their state is the starting guess and, afterwards, the result.
-        force_scale: (rod,) what residuals are measured against [force]; default: the largest of
-            k_b / L^2, weight and point loads.
+
+    Attributes:
+        force_scale: (rod,) what residuals are measured against [force]: the largest of k_b / L^2,
+            weight and point loads.
     """
 
-    def __init__(self, batch: RodBatch, force_scale: np.ndarray | None = None):
+    def __init__(self, batch: RodBatch):
         self.batch = batch
         rods, device = batch.rod_count, batch.device
-        self._given_scale = force_scale
         self.force_scale, self.length_scale = (
             wp.zeros(rods, dtype=wp.float64, device=device) for _ in range(2)
         )
@@ -85,12 +86,9 @@ class EquilibriumSolver:
     def _measure(self) -> None:
         """Scales of the rods as they are now."""
         batch = self.batch
-        length, scale = batch.rest_length.numpy().sum(axis=1), self._given_scale
-        if scale is None:
-            load = np.linalg.norm(batch.point_load.numpy(), axis=2).sum(axis=1)
-            scale = np.maximum(usual_force(batch), load)
-        self.force_scale.assign(np.broadcast_to(scale, length.shape))
-        self.length_scale.assign(length)
+        load = np.linalg.norm(batch.point_load.numpy(), axis=2).sum(axis=1)
+        self.force_scale.assign(np.maximum(usual_force(batch), load))
+        self.length_scale.assign(batch.rest_length.numpy().sum(axis=1))
 
     @arguments.checked(
         RodError,

@@ -104,15 +104,15 @@ def load_photograph(path: str | os.PathLike[str]) -> LaidPhotograph:
     )
 
 
-def load_photographs(folder: str | os.PathLike[str], method: str = "int") -> list[LaidPhotograph]:
-    """All photographs of a folder laid by one method, sorted by name.
+def load_photographs(folder: str | os.PathLike[str]) -> list[LaidPhotograph]:
+    """All photographs of a folder that show plans of method INT, sorted by name.
 
     Raises:
         DataError: there is none, or one is unreadable.
     """
-    paths = sorted(Path(folder).glob(f"*-{method}.npz"))
+    paths = sorted(Path(folder).glob("*-int.npz"))
     if not paths:
-        raise DataError(f"{folder}: holds no file *-{method}.npz; give a folder of photographs")
+        raise DataError(f"{folder}: holds no file *-int.npz; give a folder of photographs")
     return [load_photograph(path) for path in paths]
 
 
