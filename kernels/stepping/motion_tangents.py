@@ -13,6 +13,7 @@ from wrod.kernels.elastic.curvature import component, invariant_gradient, stenci
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node
 from wrod.kernels.linear.banded import banded_entry
 from wrod.kernels.stepping.dynamics import drag_force, drag_matrix, rate
+from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.viscosity import strain
 
 wp.set_module_options({"enable_backward": False})
@@ -60,9 +61,7 @@ def inertial_tangents(
     quadratic_drag_rate: wp.array2d(dtype=wp.float64),
     gravity_rate: wp.array2d(dtype=wp.vec3d),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    coefficients: wp.array(dtype=wp.vec3d),
-    step: wp.array(dtype=wp.float64),
+    pace: Pace,
     dof: wp.array2d(dtype=wp.float64),
     before: wp.array2d(dtype=wp.float64),
     older: wp.array2d(dtype=wp.float64),
@@ -78,10 +77,10 @@ def inertial_tangents(
 ):
     """Minus the rate of inertia, weight and drag at a fixed configuration at the step's end."""
     r, i, group = wp.tid()
-    if accepted[r] == 0:
+    if pace.accepted[r] == 0:
         return
-    coefficient = coefficients[r]
-    dt = step[r]
+    coefficient = pace.coefficient[r]
+    dt = pace.step[r]
     m = wp.min(r, mass.shape[0] - 1)
     zero = wp.vec3d(ZERO, ZERO, ZERO)
     v = rate(coefficient, dt, node(dof, r, i), node(before, r, i), node(older, r, i))
@@ -135,9 +134,7 @@ def elastic_tangents(
     viscous_time_rate: wp.array2d(dtype=wp.vec3d),
     softening_rate: wp.array2d(dtype=wp.vec2d),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    coefficients: wp.array(dtype=wp.vec3d),
-    step: wp.array(dtype=wp.float64),
+    pace: Pace,
     dof: wp.array2d(dtype=wp.float64),
     director: wp.array2d(dtype=wp.vec3d),
     reference_twist: wp.array2d(dtype=wp.float64),
@@ -151,11 +148,11 @@ def elastic_tangents(
 ):
     """Minus the rate of the elastic and viscous forces at a fixed configuration."""
     r, i, group = wp.tid()
-    if accepted[r] == 0:
+    if pace.accepted[r] == 0:
         return
-    coefficient = coefficients[r]
-    dt = step[r]
-    columns = right_hand_side.shape[0] // accepted.shape[0]
+    coefficient = pace.coefficient[r]
+    dt = pace.step[r]
+    columns = right_hand_side.shape[0] // pace.accepted.shape[0]
     shared = stiffness_rate.shape[0] == columns
     first_column = group * per_thread
     last_column = wp.min(columns, first_column + per_thread)
@@ -240,9 +237,7 @@ def stretch_damping_tangents(
     stretching_rate: wp.array2d(dtype=wp.float64),
     viscous_time_rate: wp.array2d(dtype=wp.vec3d),
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    coefficients: wp.array(dtype=wp.vec3d),
-    step: wp.array(dtype=wp.float64),
+    pace: Pace,
     dof: wp.array2d(dtype=wp.float64),
     before: wp.array2d(dtype=wp.float64),
     older: wp.array2d(dtype=wp.float64),
@@ -255,10 +250,10 @@ def stretch_damping_tangents(
     """Minus the rate of what damps stretching, by the time of the first bending, at a fixed
     configuration."""
     r, i, group = wp.tid()
-    if accepted[r] == 0:
+    if pace.accepted[r] == 0:
         return
     m = wp.min(r, stretching.shape[0] - 1)
-    c = coefficients[r]
+    c = pace.coefficient[r]
     rest = rest_length[r, i]
     e = edge(dof, r, i)
     e_before = edge(before, r, i)
@@ -266,7 +261,7 @@ def stretch_damping_tangents(
     length = wp.length(e)
     length_before = wp.length(e_before)
     length_older = wp.length(e_older)
-    flow = (c[0] * length + c[1] * length_before + c[2] * length_older) / (step[r] * rest)
+    flow = (c[0] * length + c[1] * length_before + c[2] * length_older) / (pace.step[r] * rest)
     k = stretching[m, i]
     eta = viscous_time[m, i][0]
     last_column = wp.min(right_hand_side.shape[1], (group + 1) * per_thread)
@@ -275,7 +270,7 @@ def stretch_damping_tangents(
         flow_rate = c[1] * wp.dot(e_before, moved) / length_before
         moved = column_node(tangent_older, r, j, i + 1) - column_node(tangent_older, r, j, i)
         flow_rate += c[2] * wp.dot(e_older, moved) / length_older
-        flow_rate = flow_rate / (step[r] * rest) - flow * rest_length_rate[j, i] / rest
+        flow_rate = flow_rate / (pace.step[r] * rest) - flow * rest_length_rate[j, i] / rest
         pull = (stretching_rate[j, i] * eta + k * viscous_time_rate[j, i][0]) * flow
         pull += k * eta * flow_rate
         for d in range(3):
@@ -292,17 +287,16 @@ def held_tangents(
     grip_tangent: wp.array3d(dtype=wp.vec3d),
     dof: wp.array2d(dtype=wp.float64),
     free: wp.array2d(dtype=wp.int32),
-    accepted: wp.array(dtype=wp.int32),
-    time: wp.array(dtype=wp.float64),
+    pace: Pace,
     first_frame: int,
     frame_rate: wp.float64,
     # Out:
     step_out: wp.array3d(dtype=wp.float64),
 ):
     r, j, k = wp.tid()
-    if accepted[r] == 0:
+    if pace.accepted[r] == 0:
         return
-    f = first_frame + int(wp.round(time[r] * frame_rate))
+    f = first_frame + int(wp.round(pace.time[r] * frame_rate))
     n = (dof.shape[1] + 1) / 4
     first = wp.where(k == 0, 0, n - 2)
     near = held_rate[r, f, j, 2 * k]
@@ -350,9 +344,7 @@ def subtract_held(
 
 @wp.kernel
 def finish_tangents(
-    accepted: wp.array(dtype=wp.int32),
-    coefficients: wp.array(dtype=wp.vec3d),
-    step: wp.array(dtype=wp.float64),
+    pace: Pace,
     solution: wp.array3d(dtype=wp.float64),
     held: wp.array3d(dtype=wp.float64),
     per_thread: int,
@@ -364,13 +356,13 @@ def finish_tangents(
 ):
     """Shift the tangents' history by a step."""
     r, a, group = wp.tid()
-    if accepted[r] == 0:
+    if pace.accepted[r] == 0:
         return
-    c = coefficients[r]
+    c = pace.coefficient[r]
     for j in range(group * per_thread, wp.min(held.shape[1], (group + 1) * per_thread)):
         now = solution[r, j, a] + held[r, j, a]
         v = c[0] * now + c[1] * tangent[r, j, a] + c[2] * older[r, j, a]
         velocity_older[r, j, a] = velocity[r, j, a]
-        velocity[r, j, a] = v / step[r]
+        velocity[r, j, a] = v / pace.step[r]
         older[r, j, a] = tangent[r, j, a]
         tangent[r, j, a] = now

@@ -107,3 +107,14 @@ class Steps(OnDevice):
     def _per_dof(self, kernel, inputs, outputs=()) -> None:
         batch = self.batch
         batch.launch(kernel, (batch.rod_count, batch.dof_count), inputs, outputs)
+
+
+def unit_pace(batch: RodBatch, *coefficient: float) -> Pace:
+    """Every rod at time 0 in an accepted step of length 1, where rates are differences with three
+    coefficients: for kernels that derivatives of steps share with those of rods at rest."""
+    rods, device, pace = batch.rod_count, batch.device, Pace()
+    pace.accepted = batch.every_rod
+    pace.coefficient = wp.full(rods, wp.vec3d(*coefficient), dtype=wp.vec3d, device=device)
+    pace.time = wp.zeros(rods, dtype=wp.float64, device=device)
+    pace.step = wp.ones(rods, dtype=wp.float64, device=device)
+    return pace

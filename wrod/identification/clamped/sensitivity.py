@@ -27,6 +27,7 @@ from wrod.rods.arrays import with_arrays
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import node_positions
 from wrod.solvers.banded import BandedSystem
+from wrod.solvers.steps import unit_pace
 
 WIND_PASSES = 12
 WIND_TOLERANCE = 1e-7
@@ -178,9 +179,8 @@ class Sensitivity:
         batch.launch(
             elastic_tangents,
             (rods, nodes - 1, count // each),
-            [*arrays(model, 1), *arrays(moved, 2), batch.every_rod, zeros(wp.vec3d, rods)]
-            + [wp.ones(rods, dtype=wp.float64, device=device), state.dof, state.director]
-            + [state.reference_twist, past, past, flow, flow, each],
+            [*arrays(model, 1), *arrays(moved, 2), unit_pace(batch, 0.0, 0.0, 0.0)]
+            + [state.dof, state.director, state.reference_twist, past, past, flow, flow, each],
             [out],
         )
         return -out.numpy().reshape(rods, count, -1)

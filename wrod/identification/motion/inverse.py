@@ -28,6 +28,7 @@ from wrod.rods.batch import RodBatch
 from wrod.rods.rotation import angle_about, node_frames, transport
 from wrod.rods.state import full_hessian
 from wrod.solvers.statics import EquilibriumSolver, prescribe
+from wrod.solvers.steps import unit_pace
 
 # Rounds in which the tensions and the shapes between markers settle, and what is expected of the
 # missing force meanwhile, over the weight.
@@ -108,10 +109,6 @@ class InverseMotion:
         strains = strains.reshape((b.rod_count, count, b.node_count))
         out = wp.zeros((b.rod_count * count, b.dof_count), dtype=wp.float64, device=b.device)
         s = b.state
-        coefficients = wp.full(
-            b.rod_count, wp.vec3d(0.0, 1.0, 0.0), dtype=wp.vec3d, device=b.device
-        )
-        unit = wp.ones(b.rod_count, dtype=wp.float64, device=b.device)
         strain_rate = wp.array(
             np.pad(self.strain_rate.numpy(), ((0, 0), (0, 0), (0, 1))),
             dtype=wp.vec4d,
@@ -121,7 +118,7 @@ class InverseMotion:
         b.launch(
             motion_tangents.elastic_tangents,
             (b.rod_count, b.node_count - 1, 1),
-            [*model, *moved, b.every_rod, coefficients, unit]
+            [*model, *moved, unit_pace(b, 0.0, 1.0, 0.0)]
             + [s.dof, s.director, s.reference_twist, strain_rate, strain_rate]
             + [strains, strains, count],
             [out],

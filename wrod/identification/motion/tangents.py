@@ -13,6 +13,7 @@ from wrod.kernels.linear import banded
 from wrod.kernels.stepping import motion_tangents as kernels
 from wrod.kernels.stepping import observed_tangents
 from wrod.solvers.banded import BandedSystem
+from wrod.solvers.steps import unit_pace
 
 if TYPE_CHECKING:
     from wrod.identification.motion.windows import Windows
@@ -110,7 +111,7 @@ class Tangents:
         dim = (self.batch.rod_count, *dim)
         wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=self.run.device)
 
-    def _elastic(self, accepted, coefficient, step, strain_before, strain_older):
+    def _elastic(self, pace, strain_before, strain_older):
         names = ("rest_length", "stretching", "stiffness", "rest_strain", "viscous_time")
         names = (*names, "softening")
         batch, s = self.batch, self.batch.state
@@ -118,7 +119,7 @@ class Tangents:
             kernels.elastic_tangents,
             (batch.node_count - 1, self.groups),
             [self.run.model[k] for k in names] + [self.model[k] for k in names]
-            + [accepted, coefficient, step, s.dof, s.director, s.reference_twist]
+            + [pace, s.dof, s.director, s.reference_twist]
             + [strain_before, strain_older, self.strain, self.strain_older, self.per_thread],
             [self.x.reshape((batch.rod_count * self.count, batch.dof_count))],
         )  # fmt: skip
@@ -139,13 +140,13 @@ class Tangents:
             [out],
         )
 
-    def _hold(self, accepted, time, out):
+    def _hold(self, pace, out):
         batch, run = self.batch, self.run
         self._launch(
             kernels.held_tangents,
             (self.count, 2),
             [self.held, self.roll, batch.state.tangent, run.grip_tangent, batch.state.dof]
-            + [batch.free, accepted, time, run.substeps, run.step_rate],
+            + [batch.free, pace, run.substeps, run.step_rate],
             [out],
         )
 
@@ -156,9 +157,9 @@ class Tangents:
             strain: (rod, node) strains there.
         """
         batch = self.batch
-        every, rods = batch.every_rod, batch.rod_count
+        every, rest = batch.every_rod, unit_pace(batch, 0.0, 0.0, 0.0)
         step = wp.zeros_like(self.now)
-        self._hold(every, wp.zeros(rods, dtype=wp.float64, device=batch.device), step)
+        self._hold(rest, step)
         value = self.first[1].copy()
         ends = [3, -4]
         value[:, :, ends] = step.numpy()[:, :, ends]
@@ -169,9 +170,7 @@ class Tangents:
         hessian = batch.derivatives.hessian
         self._launch(banded.multiply, dim, [every, hessian, self.step_held], [product])
         self.x.assign(-product.numpy())
-        still = wp.zeros(rods, dtype=wp.vec3d, device=batch.device)
-        unit = wp.ones(rods, dtype=wp.float64, device=batch.device)
-        self._elastic(every, still, unit, strain, strain)
+        self._elastic(rest, strain, strain)
         self._solve(every)
         self.now.assign(self.x.numpy() + value)
         self._strains(every, self.strain)
@@ -191,7 +190,8 @@ class Tangents:
 
     def follow(self, dynamics: NewtonSteps) -> None:
         """Tangents of the steps that have been accepted."""
-        accepted, batch, model = dynamics.accepted, self.batch, self.run.model
+        pace, batch, model = dynamics.pace, self.batch, self.run.model
+        accepted = dynamics.accepted
         device = wp.get_device(batch.device)
         if device.is_cpu and not device.is_capturing and not accepted.numpy().any():
             return
@@ -199,13 +199,12 @@ class Tangents:
         masses, others = names[:1], names[1:]
         history = [dynamics.start.dof, dynamics.dof_older]
         history += [dynamics.velocity, dynamics.velocity_older]
-        coefficient, step = dynamics.coefficient, dynamics.step
         self._launch(
             kernels.inertial_tangents,
             (batch.node_count, self.groups),
             [model[k] for k in masses] + [SPIN_INERTIA] + [model[k] for k in others]
             + [self.model[k] for k in names]
-            + [accepted, coefficient, step, batch.state.dof, *history]
+            + [pace, batch.state.dof, *history]
             + [self.now, self.older, self.velocity, self.velocity_older, self.per_thread],
             [self.x],
         )  # fmt: skip
@@ -214,13 +213,12 @@ class Tangents:
             kernels.stretch_damping_tangents,
             (batch.node_count - 1, self.groups),
             [model[k] for k in names] + [self.model[k] for k in names]
-            + [accepted, coefficient, step, batch.state.dof, *history[:2], self.now, self.older]
-            + [self.per_thread],
+            + [pace, batch.state.dof, *history[:2], self.now, self.older, self.per_thread],
             [self.x],
         )  # fmt: skip
         viscosity = dynamics.viscosity
-        self._elastic(accepted, coefficient, step, viscosity.strain, viscosity.strain_older)
-        self._hold(accepted, dynamics.time, self.step_held)
+        self._elastic(pace, viscosity.strain, viscosity.strain_older)
+        self._hold(pace, self.step_held)
         rows = min(7 + HALF_BANDWIDTH, batch.dof_count)
         self._launch(
             kernels.subtract_held,
@@ -232,7 +230,7 @@ class Tangents:
         self._launch(
             kernels.finish_tangents,
             (batch.dof_count, self.groups),
-            [accepted, coefficient, step, self.x, self.step_held, self.per_thread],
+            [pace, self.x, self.step_held, self.per_thread],
             [self.now, self.older, self.velocity, self.velocity_older],
         )
         self._strains(accepted, self.strain_new)
