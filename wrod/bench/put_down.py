@@ -1,4 +1,4 @@
-"""What friction alone does to a rod that lies exactly on its pattern: no controller lays better.
+"""What friction alone does to a rod that lies exactly on its pattern.
 
 The rod is cut where the pattern ends, put down without any motion where the robot has the pattern,
 and left to itself. It differs from what is believed, and the robot stands elsewhere, as in the
