@@ -101,9 +101,7 @@ class _Arms:
 
 
 class ArmedDer(HeldDer):
-    """Worlds of one cable that hangs from an arm, which carries it; two steps are a graph."""
-
-    _graph = None
+    """Worlds of one cable that hangs from an arm, which carries it."""
 
     def _add_hand(self, world: newton.ModelBuilder) -> int:
         return add_arm(world)
@@ -115,15 +113,6 @@ class ArmedDer(HeldDer):
         state, other = self._states
         self._arms.step(state, other, self._solver.add_body_forces)
         self._solver.step(state, other, None, None, self.dt, moved=other)
-
-    def advance(self, steps: int) -> None:
-        if self._graph is None:
-            self.step()
-            with wp.ScopedCapture(device=self.model.device) as capture:
-                self.step()
-            self._graph, steps = capture.graph, steps - 2
-        for _ in range(steps // 2):
-            wp.capture_launch(self._graph)
 
 
 class ArmedVbd(HeldVbd):

@@ -57,7 +57,10 @@ class _Hands:
 
 
 class HeldDer:
-    """Worlds of one cable that hangs along x, its upper end clamped by a kinematic body."""
+    """Worlds of one cable that hangs along x, its upper end clamped by a kinematic body; two steps
+    are a graph."""
+
+    _graph = None
 
     def __init__(
         self, worlds: int, edges: int, dt: float, device: str, requires_grad: bool = False
@@ -96,9 +99,19 @@ class HeldDer:
             self._step()
             self._states.reverse()
 
-    def advance(self, steps: int) -> None:
+    def launch(self, steps: int) -> None:
         for _ in range(steps // 2):
             self.step()
+
+    def advance(self, steps: int) -> None:
+        """As `launch`, but from a graph."""
+        if self._graph is None:
+            self.step()
+            with wp.ScopedCapture(device=self.model.device) as capture:
+                self.step()
+            self._graph, steps = capture.graph, steps - 2
+        for _ in range(steps // 2):
+            wp.capture_launch(self._graph)
 
     def tips(self) -> np.ndarray:
         if self._solver.diverged.any():

@@ -67,16 +67,11 @@ def graph_of_a_step(device: str, worlds: int, edges: int, steps: int = 120) -> I
     tips, took = [], []
     for captured in (False, True):
         held = HeldDer(worlds, edges, 1.0 / 120, device)
-        held.advance(_WARM_UP)
-        graph = None
-        if captured:
-            with wp.ScopedCapture(device=device) as capture:
-                held.step()
-            graph = capture.graph
+        go_on = held.advance if captured else held.launch
+        go_on(_WARM_UP)
         wp.synchronize()
         start = time.perf_counter()
-        for _ in range(steps // 2):
-            held.step() if graph is None else wp.capture_launch(graph)
+        go_on(steps)
         wp.synchronize()
         took.append(1e3 * (time.perf_counter() - start) / steps)
         tips.append(held.tips())
@@ -106,8 +101,8 @@ def gradients_of_steps(device: str, worlds: int, edges: int, steps: int = 40) ->
         wp.synchronize()
         return 1e3 * (time.perf_counter() - start) / steps
 
-    held.advance(_WARM_UP)
-    plain = timed(lambda: held.advance(steps))
+    held.launch(_WARM_UP)
+    plain = timed(lambda: held.launch(steps))
 
     def measure_tips() -> None:
         arrays = [held.state.der.node_q, tips, loss]
@@ -116,7 +111,7 @@ def gradients_of_steps(device: str, worlds: int, edges: int, steps: int = 40) ->
     for _ in range(2):  # the first compiles
         tape = wp.Tape()
         with tape:
-            taped = timed(lambda: held.advance(steps))
+            taped = timed(lambda: held.launch(steps))
             measure_tips()
         back = timed(partial(tape.backward, loss))
         found = held.model.der.node_bending_stiffness.grad.numpy().copy().reshape(worlds, -1)
@@ -126,7 +121,7 @@ def gradients_of_steps(device: str, worlds: int, edges: int, steps: int = 40) ->
         with wp.ScopedCapture(device=device) as capture:
             tape = wp.Tape()
             with tape:
-                held.advance(steps)
+                held.launch(steps)
                 measure_tips()
             tape.backward(loss)
         wp.capture_launch(capture.graph)
