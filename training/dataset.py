@@ -21,6 +21,7 @@ from wrod.grasps.inputs import CLOSURES
 from wrod.grasps.levels import compile_kernels
 from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
 from wrod.grasps.results import Grasps
+from wrod.machine import usable_cores
 from wrod.rods.material import RodMaterial
 
 SHARD_SIZE = 2048
@@ -158,7 +159,7 @@ def generate(
         tally.add(store.read_shard(folder, manifest, shard), solved=False)
     waiting = [shard for shard in mine if shard not in there]
     group_size = 1 if device == "cpu" else max(1, _CUDA_BATCH // shard_size)
-    threads = max(1, (os.cpu_count() or 1) // rank.local_count)
+    threads = max(1, usable_cores() // rank.local_count)
     groups = [waiting[k : k + group_size] for k in range(0, len(waiting), group_size)]
     first: list[float] = []
     for parts in _solved(manifest, groups, one, device, threads, folder, first):

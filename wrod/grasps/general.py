@@ -8,7 +8,6 @@ there; its twisting moment is what the grip's roll has to supply. One freedom is
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -31,6 +30,7 @@ from wrod.grasps.levels import (
 from wrod.grasps.mesh import ghost, node_weights, tolerance, two_sided_rest_lengths
 from wrod.kernels.grasping import general_rod, iteration, reading
 from wrod.kernels.linear.frontal import row_width, stencil_entries
+from wrod.machine import usable_cores
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import of_free_part
 from wrod.rods.state import Derivatives
@@ -109,7 +109,7 @@ def solve_general(
     edges = options.edge_count
     right = curvature < 0.0
     on_cpu, n = options.device == "cpu", len(length)
-    workers = (options.threads or os.cpu_count() or 1) if on_cpu else 1
+    workers = (options.threads or usable_cores()) if on_cpu else 1
     size = max(1, min(_CPU_CHUNK if on_cpu else _CUDA_CHUNK, -(-n // workers)))
     # Properties on both meshes and results, twice while they are put together, stay in this
     # machine's memory.

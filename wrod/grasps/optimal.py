@@ -4,7 +4,6 @@ Everything here is dimensionless: lengths in L_gb, forces in k_b / L_gb^2, weigh
 the contact frame has x along the pattern, z up, and a positive curvature turns left, towards +y.
 """
 
-import os
 import queue
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +20,7 @@ from wrod.grasps.inputs import GraspArrays, GraspOptions, closure_number
 from wrod.grasps.levels import Ladder, compile_kernels
 from wrod.grasps.results import LIMITS, SENSITIVITIES, Grasps
 from wrod.kernels.grasping.reading import Results
+from wrod.machine import usable_cores
 from wrod.solvers.recording import launching
 from wrod.solvers.stability import smallest_eigenvalue
 
@@ -129,7 +129,7 @@ def solve_twisted(
 def _solve_straight(inputs: GraspArrays, sensitivities: bool, options: GraspOptions) -> Grasps:
     rods, device, edges = len(inputs), inputs.device, options.edge_count
     room = options.shapes or options.eigenvalues
-    workers = 1 if device != "cpu" else (options.threads or os.cpu_count() or 1)
+    workers = 1 if device != "cpu" else (options.threads or usable_cores())
     size = _CPU_CHUNK if device == "cpu" else _CUDA_CHUNK
     size = max(1, min(size, -(-rods // workers)))
     ladder = _kept_ladder(size, edges, device, sensitivities)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -15,6 +14,7 @@ from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Model
+from wrod.machine import usable_cores
 
 _MAX_ITERATIONS = 30
 _CONVERGED = 0.02
@@ -129,7 +129,7 @@ def fit_models(
     if len(groups) == 1:  # without a second thread equilibria are recorded
         fits |= dict(zip(groups[0], run(groups[0]), strict=True))
     else:
-        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        with ThreadPoolExecutor(max_workers=usable_cores()) as pool:
             for group, results in zip(groups, pool.map(run, groups), strict=True):
                 fits |= dict(zip(group, results, strict=True))
     if wide:

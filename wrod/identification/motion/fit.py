@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import hashlib
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ from wrod.identification.motion.solver import MotionSolver
 from wrod.identification.motion.tangents import COMPLEX_STEP
 from wrod.identification.motion.tension import base_setup
 from wrod.identification.motion.windows import Windows, windows_of
+from wrod.machine import usable_cores
 
 # Errors of a motion grow far beyond the markers' noise, so large ones count linearly.
 _ROBUST = 10e-3
@@ -28,9 +28,9 @@ _DAMPING, _HARDER, _TRIALS = 1e-3, 5.0, 7
 _CONVERGED = 2e-3
 # A parameter as large as its prior's scale costs this share of the misfit that a fit starts from.
 _PRIOR = 2e-3
-# Slices of windows that are run side by side: launches take turns, so more would only wait. Setting
-# one up and recording its launches takes as long as so many windows of a second.
-_SLICES, _WORTH_A_SLICE = 2, 8
+# Slices of windows are run side by side, one a core. Setting one up and recording launches takes
+# as long as so many windows of a second.
+_WORTH_A_SLICE = 8
 # Time steps a frame at most, where longer ones do not converge.
 _FINEST = 4
 
@@ -119,7 +119,7 @@ class MotionLaboratory:
 
     def _run(self, windows: Windows, setup: MotionSetup, rates: Sequence[MotionSetup]):
         worth = len(windows.recording) // _WORTH_A_SLICE
-        count = max(1, min(os.cpu_count() or 1, _SLICES, worth))
+        count = max(1, min(usable_cores(), worth))
         count = count if self.device == "cpu" else 1
         slices = np.array_split(np.arange(len(windows.recording)), count)
 
