@@ -120,8 +120,9 @@ class MotionRun:
         change = np.repeat(w.length_change / pieces, pieces, axis=1)
         values["rest_length"] = values["rest_length"] + change
         self.model = self._upload(values)
-        self.first = np.real(first_nodes(w, setup, self.substeps))
-        nodes, grip_t, _, grip_m1 = (np.real(a) for a in held_ends(w, setup, self.substeps))
+        ends = held_ends(w, setup, self.substeps)
+        self.first = np.real(first_nodes(w, setup, self.substeps, ends))
+        nodes, grip_t, _, grip_m1 = (np.real(a) for a in ends)
         self.held, self.grip_tangent, self.grip_director = (
             wp.array(np.ascontiguousarray(a), dtype=wp.vec3d, device=device)
             for a in (nodes, grip_t, grip_m1)
@@ -191,6 +192,7 @@ class MotionRun:
         if tangents:
             tangents.set_velocity(h)
         self._observe(batch.every_rod)
+        dynamics.keeps_recording = True
         # The first step is central: it spans a frame, as the difference of the first two does.
         self._go_to(2 * self.substeps, h)
         now = batch.state.dof.numpy().copy()
@@ -198,7 +200,8 @@ class MotionRun:
         dynamics.velocity_older.assign((now - earlier) / (2.0 * h))
         if tangents:
             tangents.centre(h)
-        dynamics.keeps_recording = True
+        if self.substeps > 1:  # what was recorded takes steps as long as a frame
+            dynamics.forget_recording()
         while self.taken < self.last and not dynamics.is_recorded:
             self._go_to(self.taken + 1, h / self.substeps)
 

@@ -42,10 +42,19 @@ def held_ends(windows: Windows, setup: MotionSetup, substeps: int) -> tuple[np.n
     return nodes, t, a1, c * a1 + s * a2
 
 
-def first_nodes(windows: Windows, setup: MotionSetup, substeps: int) -> np.ndarray:
-    """(W, 2, N, 3) nodes in the first two frames, held ones included."""
+def moves_ends(setup: MotionSetup) -> bool:
+    """Whether a complex setup's parameter moves held or first nodes at all."""
+    s = setup
+    parts = (s.marker_offset, s.held_turn, s.roll, s.principal_angle)
+    return any(np.any(np.imag(part)) for part in parts)
+
+
+def first_nodes(
+    windows: Windows, setup: MotionSetup, substeps: int, ends: tuple[np.ndarray, ...]
+) -> np.ndarray:
+    """(W, 2, N, 3) nodes in the first two frames, held ones included; `ends`: of `held_ends`."""
     markers = windows.opening.astype(complex)
-    nodes, _, a1, _ = held_ends(windows, setup, substeps)
+    nodes, _, a1, _ = ends
     inner = setup.marker_node
     if np.any(setup.marker_offset != 0):
         centre = _without_offsets(setup, markers, a1, substeps)

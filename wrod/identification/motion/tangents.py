@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import warp as wp
 
-from wrod.identification.motion.start import first_nodes, held_ends
+from wrod.identification.motion.start import first_nodes, held_ends, moves_ends
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.linear import banded
 from wrod.kernels.stepping import motion_tangents as kernels
@@ -70,27 +70,27 @@ class Tangents:
 
         arrays = [r.arrays() for r in rates]
         self.model = {}
-        for key in arrays[0]:
-            shape = np.shape(setup.arrays()[key])
-            value = np.stack([np.broadcast_to(imag(a[key]), shape) for a in arrays])
+        for key, nominal in setup.arrays().items():
+            value = np.stack([np.broadcast_to(imag(a[key]), nominal.shape) for a in arrays])
             if key == "marker_offset":
                 value = value[:, 1:-1]
             value = np.ascontiguousarray(value)
             self.model[key] = wp.array(value, dtype=kind_of(key), device=device)
-        held = [held_ends(windows, r, substeps) for r in rates]
-        self.held = wp.array(
-            np.ascontiguousarray(np.stack([imag(h[0]) for h in held], axis=2)),
-            dtype=wp.vec3d, device=device,
-        )  # fmt: skip
+        instants = (windows.held.shape[1] - 1) * substeps + 1
+        held, first = np.zeros((rods, instants, P, 4, 3)), np.zeros((2, rods, P, nodes, 3))
+        for j, r in enumerate(rates):
+            if moves_ends(r):
+                ends = held_ends(windows, r, substeps)
+                held[:, :, j] = imag(ends[0])
+                start = imag(first_nodes(windows, r, substeps, ends))
+                first[:, :, j] = start.swapaxes(0, 1)
+        self.held = wp.array(held, dtype=wp.vec3d, device=device)
         self.roll = wp.array(
             np.stack([np.broadcast_to(imag(r.roll + r.principal_angle), 2) for r in rates]),
             dtype=wp.float64, device=device,
         )  # fmt: skip
-        first = np.stack([imag(first_nodes(windows, r, substeps)) for r in rates], axis=2)
         self.first = np.zeros((2, rods, P, dofs))
-        self.first[:, :, :, node_columns(nodes)] = first.transpose(1, 0, 2, 3, 4).reshape(
-            2, rods, P, -1
-        )
+        self.first[:, :, :, node_columns(nodes)] = first.reshape(2, rods, P, -1)
 
         def zeros():
             return wp.zeros((rods, P, dofs), dtype=wp.float64, device=device)
