@@ -10,7 +10,7 @@ import wrod
 from wrod.deployment.fixtures import Fixture, Fixtures
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import SceneError
-from wrod.solvers.contact import Box, Cylinder
+from wrod.solvers.solids import Box, Cylinder
 
 ROD = wrod.RodMaterial(0.0016, 0.03, 0.30)
 

@@ -5,9 +5,10 @@ import pytest
 import warp as wp
 from vps import CONTACT, RADIUS, WEIGHT, G, Pull, half_turn, rods, rope, straight, tensions
 
-from wrod.solvers.contact import Box, Contact, Cylinder, Friction, Plane
+from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
+from wrod.solvers.solids import Box, Cylinder, Plane
 from wrod.solvers.statics import prescribe
 
 TURN = (0.0, 0.0, float(np.sin(0.3)), float(np.cos(0.3)))

@@ -29,7 +29,7 @@ from wrod.files import read_json, schemas, write_atomically
 from wrod.files.reading import shown
 from wrod.patterns.pattern import Pattern
 from wrod.records import checked_fields
-from wrod.solvers.contact import Box, Cylinder, Plane
+from wrod.solvers.solids import Box, Cylinder, Plane
 
 _FORMAT = "wrod-fixtures-1"
 # A rod is at rest if no part of it is faster [m/s].

@@ -14,7 +14,7 @@ from wrod.grasps.optimal import solve_grasps
 from wrod.patterns.pattern import Pattern
 from wrod.planning.sources import MIN_SUSPENDED_LENGTH
 from wrod.rods.material import RodMaterial
-from wrod.solvers.contact import Cylinder
+from wrod.solvers.solids import Cylinder
 
 # Spacing of laid lengths at which the hanging rod is looked at, and of possible gates [m].
 _STEP = 0.004

@@ -12,7 +12,7 @@ from wrod.errors import RodError
 from wrod.files import write_figure
 from wrod.files.pictures import FAINT, INK, MUTED, dress
 from wrod.patterns.pattern import Pattern
-from wrod.solvers.contact import Cylinder
+from wrod.solvers.solids import Cylinder
 
 PATTERN_COLOR, HELD_COLOR, RELEASED_COLOR = "#0b5fa5", "#d9822b", "#8a5a9e"
 

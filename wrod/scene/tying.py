@@ -26,7 +26,7 @@ from wrod.scene.workplace import (
     add_table,
     table_under,
 )
-from wrod.solvers.contact import Cylinder
+from wrod.solvers.solids import Cylinder
 
 SUFFIXES = (".usdc", ".usda", ".usd")
 _STEEL, _OTHER = (0.62, 0.64, 0.67), (0.10, 0.50, 0.22)

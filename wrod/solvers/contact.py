@@ -18,22 +18,9 @@ from wrod.rods.discretisation import cells
 from wrod.solvers.carried_shapes import CarriedShapes
 from wrod.solvers.edge_contact import EdgeContact
 from wrod.solvers.friction import Friction, FrictionField, contact_damping
-from wrod.solvers.solids import (
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
-    Ellipsoid,
-    Mesh,
-    Plane,
-    Sphere,
-    shape_record,
-)
+from wrod.solvers.solids import Plane, shape_record
 
-__all__ = [
-    "Box", "Capsule", "Cone", "Contact", "Cylinder", "Ellipsoid", "Friction", "FrictionField",
-    "Mesh", "Plane", "Sphere",
-]  # fmt: skip
+__all__ = ["Contact", "Friction", "FrictionField"]
 
 _IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
 _IS_SHAPE = arguments.like("a Plane or a solid", "_describe")
