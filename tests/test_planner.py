@@ -414,6 +414,22 @@ def test_shapes_of_other_grips_are_left_out():
         assert with_shapes(moved, line, device="cpu").shape is None
 
 
+def test_shapes_of_corrected_grips_end_at_them():
+    from dataclasses import replace
+
+    from wrod.planning.shapes import with_shapes
+
+    circle = wrod.pattern("circle")
+    start = wrod.plan(circle, ROD, "numeric", spacing=0.025, device="cpu")
+    up = np.linspace(0.0, 0.03, len(start))[:, None] * [0.0, 0.0, 1.0]
+    said = {**start.metadata, "optimised": {"largest_correction": 0.03}}
+    plan = replace(start, position=start.position + up, shape=None, metadata=said)
+    shown = with_shapes(plan, circle, device="cpu")
+    np.testing.assert_allclose(shown.shape[:, -1], plan.position, atol=1e-12)
+    np.testing.assert_allclose(shown.shape[:, 0], start.shape[:, 0], atol=1e-9)
+    assert "shapes" not in shown.metadata  # corrections are no error of a controller
+
+
 def test_shapes_that_cannot_be_solved_are_left_out():
     from wrod.planning.shapes import with_shapes
 

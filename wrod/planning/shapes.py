@@ -28,8 +28,8 @@ def with_shapes(
 
     They are those of the optimal grasps of the same inputs, from the rod solver, ended at the
     trajectory's grips. It thereby checks the controller: `metadata["shapes"]` says how far its
-    grips are from the solver's at most [m]. A trajectory that is not of optimal grasps, or has
-    shapes, comes back as it is.
+    grips are from the solver's at most [m], but for a plan that was corrected for a table. A
+    trajectory that is not of optimal grasps, or has shapes, comes back as it is.
 
     Args:
         trajectory: what `plan` returned, or read from its file.
@@ -42,9 +42,9 @@ def with_shapes(
             back without.
     """
     closure, rod = trajectory.closure, trajectory.rod
-    corrected = {"optimised", "distilled"} & set(trajectory.metadata)
-    if trajectory.shape is not None or closure is None or rod is None or corrected:
+    if trajectory.shape is not None or closure is None or rod is None:
         return trajectory
+    corrected = {"optimised", "distilled"} & set(trajectory.metadata)
     s = trajectory.pattern_arc_length
     tangent, curvature = _course(trajectory, pattern)
     lgb = rod.gravito_bending_length
@@ -59,17 +59,18 @@ def with_shapes(
         frame = contact_frame(tangent)
         grip = placed(poses.position[:, None], trajectory.contact, frame, lgb)[:, 0]
         apart = float(np.linalg.norm(grip - trajectory.position, axis=1).max())
-        if apart > _SAME_GRASP * lgb:
+        if apart > _SAME_GRASP * lgb and not corrected:
             raise GraspError(f"the solver's grips are up to {apart:.2g} m from the planned ones")
     except GraspError as error:
         warnings.warn(f"the rod's shapes are left out: {error}", WrodWarning, stacklevel=2)
         return trajectory
     shape = placed(poses.shape, trajectory.contact, frame, lgb)
-    # What is left, of the controller and of the mesh, fades out towards the contact.
+    # What is left, of the controller, the mesh and corrections, fades out towards the contact.
     share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
     shape += share[None, :, None] * (trajectory.position - shape[:, -1])[:, None]
-    said = {"method": "numeric", "largest_grip_difference": apart}
-    return replace(trajectory, shape=shape, metadata={**trajectory.metadata, "shapes": said})
+    said = {"shapes": {"method": "numeric", "largest_grip_difference": apart}}
+    metadata = {**trajectory.metadata, **({} if corrected else said)}
+    return replace(trajectory, shape=shape, metadata=metadata)
 
 
 def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray, np.ndarray]:
