@@ -115,6 +115,30 @@ def test_fast_grip_is_slowed_to_the_joint_limits(letter, letter_path):
     assert fast.metadata["duration"] < letter_path.metadata["duration"] / 2
 
 
+def test_where_the_grip_turns_back_alone_it_is_slow(letter_path):
+    """Joints that turn back within two millimetres of half a metre of travel."""
+    from wrod.robot.timing import schedule
+
+    robot, u = letter_path.robot, np.linspace(0.0, 0.5, 20001)
+    bend = np.outer(np.sqrt((u - 0.3) ** 2 + 2e-4**2), 3.0 + np.arange(7))
+    spline = CubicSpline(u, bend)
+    steady = schedule(robot, lambda x, n=0: spline(0.0 * x + 0.1, n), 0.5, 0.05)
+    timing = schedule(robot, spline, 0.5, 0.05)
+    assert timing.steady_speed < 0.01 < timing.speed < 0.05 + 1e-12
+    assert timing.duration < 1.5 * steady.duration
+    time = np.arange(0.0, timing.duration, 1e-3)
+    travel, rate = timing.travel(time)
+    assert travel[[0, -1]] == pytest.approx([0.0, 0.5], abs=1e-6) and (np.diff(travel) >= 0).all()
+    np.testing.assert_allclose(np.gradient(travel, 1e-3)[1:-1], rate[1:-1], atol=1e-5)
+    inside = np.abs(travel - 0.25) < 0.2
+    assert abs(travel[inside][rate[inside].argmin()] - 0.3) < 2e-3
+    np.testing.assert_allclose(timing.time_of(travel[500:-500:100]), time[500:-500:100], atol=1e-6)
+    q = spline(travel)
+    for limit in (robot.velocity, robot.acceleration, robot.jerk):
+        q = np.diff(q, axis=0) / 1e-3
+        assert (np.abs(q) <= limit).all()
+
+
 def test_nothing_collides(letter, letter_path):
     """Spheres along the table's primitives, against table, pedestal and each other."""
     robot = letter_path.robot

@@ -71,7 +71,7 @@ def within_speed(request, pace, planned):
         path = request.solve(start, grip_speed=asked, whole_job=False)
     except RobotError:
         return pace  # said when the corrected plan is followed
-    return low, max(low, high * min(path.grip_speed / asked, 1.0))
+    return low, max(low, high * min(path.steady_speed / asked, 1.0))
 
 
 def save_plan(out: Path, curve, trajectory) -> list[Path]:

@@ -59,12 +59,27 @@ def summary(figures: dict) -> str:
             lines.append(
                 ", ".join(f"{p['name']} {p['end'] - p['start']:.0f} s" for p in path["phases"])
             )
+        lines += _laid_slowly(path, figures)
         if "stand" in path:
             lines.append(
                 "the rod waits at a stand that "
                 + ("may stay" if path["stand_stays"] else "goes away once the hand has the rod")
             )
     return "\n".join(lines)
+
+
+def _laid_slowly(path: dict, figures: dict) -> list[str]:
+    """That the arm lays a plan that is meant for a pace more slowly, if it does."""
+    planned = (figures.get("optimised") or {}).get("pace")
+    if planned is None:
+        return []
+    pace = figures["laid_length"] / path.get("lay_duration", path["duration"])
+    if pace > 0.75 * planned:
+        return []
+    return [
+        f"the arm's contact goes at {pace:.2g} m/s on average, where the grip swings wide or turns "
+        f"back; `wrod deploy --trajectory ... --speed {pace:.2g}` lays it so"
+    ]
 
 
 def _expectation(expected: dict, optimised: dict | None) -> list[str]:

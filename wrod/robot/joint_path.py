@@ -104,6 +104,12 @@ class JointPath:
         return self.metadata["grip_speed"]
 
     @property
+    def steady_speed(self) -> float:
+        """Of the grip, that the arm could keep all along the laying [m/s]; less than `grip_speed`
+        where some places are passed more slowly."""
+        return self.metadata.get("steady_speed", self.grip_speed)
+
+    @property
     def limit_margin(self) -> float:
         """Least distance of a joint from its limits [rad]."""
         return self.metadata["limit_margin"]

@@ -294,6 +294,7 @@ def _timed(
         "rate": rate,
         "duration": timing.duration,
         "grip_speed": timing.speed,
+        "steady_speed": timing.steady_speed,
         "position_error": report.position_error,
         "rotation_error": report.rotation_error,
         "limit_margin": report.limit_margin,
