@@ -321,6 +321,14 @@ def test_progress_counts_every_node_once(grasps):
     np.testing.assert_allclose(plan.position, whole.position, atol=1e-12)
 
 
+def test_a_trajectory_below_a_file_is_refused(tmp_path):
+    plan = wrod.plan(wrod.pattern("line"), ROD, "neural", spacing=0.1)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(DataError, match="a file stands where it has a folder"):
+        plan.save(tmp_path / "file" / "plan")
+    assert (tmp_path / "file").read_text() == "x"
+
+
 def test_trajectory_files_carry_units_and_read_back(tmp_path):
     plan = wrod.plan(wrod.pattern("sine"), ROD, "intuitive")
     csv_path, npz_path = plan.save(tmp_path / "t")

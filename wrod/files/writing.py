@@ -161,6 +161,10 @@ def refuse_no_file(path: str | os.PathLike[str]) -> None:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
         return
+    except NotADirectoryError:
+        raise DataError(
+            f"{path}: cannot be written, as a file stands where it has a folder; choose another"
+        ) from None
     if not stat.S_ISREG(mode):
         kind = "a folder" if stat.S_ISDIR(mode) else "a device, pipe or socket"
         raise DataError(f"{path}: is {kind}, and a file is to be written there; choose another")
