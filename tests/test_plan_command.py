@@ -69,7 +69,7 @@ def test_pattern_file_with_units(tmp_path):
         (("line", "--rod", "yarn"), "unknown rod 'yarn'"),
         (("line",), "no rod given"),
         (("line", "--radius", 0.001), "--lgb, --length missing"),
-        (("line", "--rod", "rope", "--length", 1), "were both given"),
+        (("line", "--rod", "rope", "--lgb", 1), "were both given"),
         (("line", "--radius", -1, "--lgb", 0.03, "--length", 1), "'--radius': -1.0"),
         (("line", "--radius", 0.001, "--lgb", 0, "--length", 1), "'--lgb': 0.0"),
         (("line", "--radius", 0.001, "--lgb", 0.03, "--length", "nan"), "'--length': nan"),
@@ -174,7 +174,9 @@ def test_too_long_a_pattern_names_a_size_that_fits(tmp_path):
     drawing.write_text("x,y\n0,0\n0.6,0\n0.6,0.6\n")
     options = (drawing, "--rod", "green-vps", "--method", "intuitive")
     result = run(*options, "--out", tmp_path / "o")
-    assert result.exit_code == 2 and "a rod as stiff of 1.2" in result.stderr
+    assert result.exit_code == 2 and "`--length 1.2" in result.stderr
+    longer = result.stderr.split("--length ")[1].split("`")[0]
+    assert run(*options, "--length", longer, "--out", tmp_path / "o").exit_code == 0
     factor = result.stderr.split("--resize ")[1].split("`")[0]
     assert run(*options, "--resize", factor, "--out", tmp_path / "o").exit_code == 0
 

@@ -174,7 +174,8 @@ def test_default_remainder_shrinks_to_a_short_rod():
 
 
 def test_no_remainder_where_there_is_hardly_room():
-    plan = wrod.plan(wrod.pattern("circle"), wrod.RodMaterial(0.0016, 0.032, 0.6), "intuitive")
+    with pytest.warns(WrodWarning, match="no room for a lead-in"):
+        plan = wrod.plan(wrod.pattern("circle"), wrod.RodMaterial(0.0016, 0.032, 0.6), "intuitive")
     assert plan.metadata["remainder_length"] == 0.0
 
 

@@ -14,5 +14,5 @@ def test_show_says_what_a_drawing_is_and_what_a_rod_makes_of_it(tmp_path):
     result = run("show", drawing, "--rod", "green-vps")
     assert result.exit_code == 0 and "are rounded to 94 1/m" in result.output
     refused("less than the radius of the rod", "show", "line", "--rod", "rope", "--resize", 1e-6)
-    result = run("show", "letter-U", "--rod", "cable", "--length", "0.5")
+    result = run("show", "letter-U", "--rod", "cable", "--lgb", "0.5")
     assert result.exit_code == 2

@@ -1,7 +1,7 @@
 """Options that several commands share, and what they mean: a rod, a pattern, method and closure."""
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import click
@@ -50,7 +50,7 @@ class RodOptions:
     )
     radius: float | None = option("Radius of a rod of your own, or a rod file's [m].")
     lgb: float | None = option("Its gravito-bending length [m] (see `wrod loop`).")
-    length: float | None = option("Its total length, or a rod file's instead [m].")
+    length: float | None = option("Its total length, or a named rod's instead [m].")
 
     @property
     def given(self) -> bool:
@@ -76,12 +76,13 @@ class RodOptions:
             # Measurements between clamps know the stretch between them only, those of motion no
             # radius.
             return load_rod(name, radius=self.radius, length=self.length)
-        if name is not None and given:
+        if name is not None and given not in ([], ["--length"]):
             raise RodError(
                 f"--rod {name} and {', '.join(given)} were both given; give one or the other"
             )
         if name is not None:
-            return load_rod(name) if from_file else rod(name)
+            named = rod(name)
+            return replace(named, length=named.length if self.length is None else self.length)
         missing = [option for option in own if option not in given]
         if missing == list(own):
             raise RodError("no rod given; use --rod NAME, or --radius, --lgb and --length")

@@ -111,8 +111,8 @@ def too_long(curve, rod, arm: bool = False) -> str | None:
     if factor <= 0:
         return None
     return (
-        f"`--resize {factor:g}` draws it smaller; a rod as stiff of {needed + 0.005:.3f} m "
-        "lays it as it is"
+        f"`--resize {factor:g}` draws it smaller; a longer rod of the same kind, "
+        f"`--length {needed + 0.005:.3f}`, lays it as it is"
     )
 
 

@@ -1,8 +1,10 @@
 """What is laid before a pattern, so that its beginning stays where it is put."""
 
+import warnings
+
 import numpy as np
 
-from wrod.errors import PatternError
+from wrod.errors import PatternError, WrodWarning
 from wrod.patterns.pattern import Pattern
 from wrod.planning.sources import MIN_SUSPENDED_LENGTH
 from wrod.rods.material import RodMaterial
@@ -54,6 +56,9 @@ def lead_ins(pattern: Pattern, rod: RodModel | RodMaterial) -> list[Pattern]:
     Args:
         pattern: with room for itself, see `prepare`.
         rod: what is laid.
+
+    Warns:
+        WrodWarning: the rod leaves no room for one.
     """
     off, start = free_end(pattern, rod)
     if pattern.remainder_length > 0.0 or off < _SPRINGS_OFF * (1.0 - 1e-3):
@@ -63,6 +68,13 @@ def lead_ins(pattern: Pattern, rod: RodModel | RodMaterial) -> list[Pattern]:
     gentle = _gentle_length(start, rod)
     room = rod.length - MIN_SUSPENDED_LENGTH * rod.gravito_bending_length - pattern.length
     if room <= 0.5 * gentle:
+        warnings.warn(
+            f"no room for a lead-in: let go, the free end is expected to spring off by "
+            f"{100.0 * off * rod.gravito_bending_length:.1f} cm at friction {_SLIPPERY:g}; a "
+            f"rod of {rod.length + gentle - room:.3f} m has room for one, as has a smaller pattern",
+            WrodWarning,
+            stacklevel=1,  # said once, whoever asks
+        )
         return [pattern]
     lengths = [min(_remainder_length(pattern, start, rod), room)]
     if gentle < _ANOTHER * lengths[0]:
