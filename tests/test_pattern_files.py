@@ -176,6 +176,18 @@ def test_corner_among_many_points_is_no_spike():
     assert pattern.departure()[0] < 5e-4
 
 
+def test_points_that_are_all_corners_are_corners():
+    """A star and a long zigzag: no curve is sampled by points at each of which it turns so."""
+    zigzag = np.array([[0.1 * k, 0.1 * (k % 2)] for k in range(11)])
+    angle = np.pi * np.arange(11) / 5
+    star = np.where(np.arange(11) % 2, 0.06, 0.14)[:, None] * np.c_[np.cos(angle), np.sin(angle)]
+    for points in (zigzag, star):
+        pattern = wrod.Pattern.from_points(points)
+        assert pattern.departure()[0] < 4e-3  # two of the corners' widths
+        length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+        assert pattern.length == pytest.approx(length, rel=0.01)
+
+
 def test_points_of_a_circle_stay_a_curve():
     angle = np.linspace(0.0, 1.5 * np.pi, 12)
     points = 0.1 * np.column_stack([np.cos(angle), np.sin(angle)])

@@ -9,6 +9,7 @@ from wrod.patterns.curve import smoothstep
 from wrod.patterns.smoothing import fit_heading
 
 CORNER = np.radians(40.0)  # a larger turn at one point is a corner, unless all points turn so
+SHARP = np.radians(50.0)  # and one still larger always is: no sampled curve turns so at each point
 _FEW = 8  # fewer points say nothing about how much the others turn
 _TURN = 0.002  # [m] over which a corner turns, at most; a rod's own bend is larger
 _SHARE = 0.2  # of the shorter neighbour
@@ -27,7 +28,7 @@ def find_corners(points: np.ndarray) -> np.ndarray:
     """Indices of the points (n, 2) at which the pattern has a corner."""
     angle = np.abs(turns(points))
     usual = 8.0 * 1.4826 * np.median(angle) if len(points) >= _FEW else 0.0
-    return np.flatnonzero(angle > max(CORNER, usual)) + 1
+    return np.flatnonzero(angle > np.clip(usual, CORNER, SHARP)) + 1
 
 
 def heading_with_corners(
