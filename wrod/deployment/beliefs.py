@@ -44,8 +44,9 @@ _PLACE = slice(3, 6)
 _MESH = replace(FINE, tolerance=1e-4)
 # Points along a rod where friction by place is said to it.
 _ALONG = 400
-# What a point differs by though the beliefs are right: mesh, shaking, whatever else [m]; and how
-# far behind the contact a look tells of beliefs [m]: what lies there has told of them before.
+# What a point differs by though the beliefs are right: mesh, shaking, whatever else [m], in all
+# pictures of a look alike; and how far behind the contact a look tells of beliefs [m]: what lies
+# there has told of them before.
 _MODEL_ERROR, _MODEL_ERROR_HANGING = 1e-3, 3e-3
 _MEMORY = 0.12
 # Length before the contact over which what lies is compared with what is believed to, and over
@@ -305,21 +306,25 @@ def _told(
 ) -> Account:
     """An account after the pictures of a look, by what lies for the beliefs `here` (n,)."""
     for k, seen in enumerate(pictures):
-        information, pull, _, unlikely = told_by(laid, s, seen)
+        information, pull, _, unlikely = told_by(laid, s, seen, len(pictures))
         account = account.after(here, information, pull, still or k > 0)
         account = replace(account, evidence=account.evidence - unlikely)
     return account
 
 
-def told_by(laid: Laid, s: float, seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """What is seen when `s` [m] is laid tells of what is believed to lie, by its derivatives: the
-    information (n, n) and pull (n,) about these, the residuals (point, 3) [m], and how unlikely
-    these are: the negative logarithm of that, but for a constant."""
+def told_by(
+    laid: Laid, s: float, seen: Seen, pictures: int = 1
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """What is seen when `s` [m] is laid, on one of so many pictures of it, tells of what is
+    believed to lie, by its derivatives: the information (n, n) and pull (n,) about these, the
+    residuals (point, 3) [m], and how unlikely these are: minus its logarithm, but for a constant.
+    """
     residual = seen.place - interpolated(laid.arc_length, laid.centerline, seen.arc_length)
     rates = [interpolated(laid.arc_length, c, seen.arc_length) for c in laid.tangent]
     matrix = np.reshape(rates, (len(rates), -1)).T
     model = np.where(np.arange(len(residual)) < seen.laid, _MODEL_ERROR, _MODEL_ERROR_HANGING)
-    weight = 1.0 / (seen.deviation**2 + model[:, None] ** 2)
+    # All that the pictures tell together is as sure as 1 / (deviation^2 / pictures + model^2).
+    weight = 1.0 / (seen.deviation**2 + pictures * model[:, None] ** 2)
     weight[seen.arc_length < s - _MEMORY] = 0.0
     weight = weight.ravel()
     apart = residual.ravel()
