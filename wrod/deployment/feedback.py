@@ -8,22 +8,21 @@ gone wrong, and that it can be laid better, the grip goes back, lifts it, and la
 """
 
 from dataclasses import dataclass, field, replace
-from time import process_time
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from wrod import arguments
-from wrod.deployment.beliefs import Beliefs, Beside, doubted, meshed_to_the_end
+from wrod.deployment.beliefs import Beliefs, meshed_to_the_end
 from wrod.deployment.discretisation import USUAL
+from wrod.deployment.looking_on import FeedbackLoop, Look
 from wrod.deployment.remembered import Remembered
-from wrod.deployment.replanning import HORIZON, Moment
+from wrod.deployment.replanning import HORIZON
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, Sight
 from wrod.deployment.simulate import Trial, refuse_other_plans
 from wrod.deployment.tangents import Laid
 from wrod.deployment.together import Asked, Course, follow
-from wrod.deployment.way import Way
 from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
@@ -32,11 +31,6 @@ from wrod.records import checked_fields
 from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Friction, FrictionField
 
-# Poses of the grip that a deployment has at least.
-_LEAST_POSES = 3
-# The grip goes back so many times at most, and if what is seen is likelier where it is believed to
-# lie than on the pattern, by twice the logarithm: three deviations of the camera's noise.
-_MOST_TIMES, _BEYOND_NOISE = 8, 9.0
 # For so long the plant's shaking is drawn [s]: what is past stays, however long it goes on.
 _SHAKING = 600.0
 
@@ -63,40 +57,6 @@ class Plant:
     friction: Friction
     disturbance: Disturbance = field(default_factory=Disturbance)
     friction_field: FrictionField | None = None
-
-
-@dataclass(frozen=True)
-class Look:
-    """What was believed after a look.
-
-    Attributes:
-        laid: length that was laid then [m].
-        friction: coefficient under the contact [-].
-        friction_error: standard error of its logarithm [-].
-        lgb_error: relative, of L_gb.
-        natural_curvature: [1/m].
-        offset: (2,) of the robot [m].
-        yaw: of the robot [rad].
-        misfit: root mean square of what was seen against what had been believed [m].
-        varies: least and largest factor by which friction is believed to vary over the table.
-        seconds: of a processor to renew the beliefs by the pictures, and the path by these [s].
-        kept: whether the path was kept, as others than were believed in, but as likely, are laid no
-            better by the corrected one.
-        back: laid length to which the grip went back then [m]; None: it went on.
-    """
-
-    laid: float
-    friction: float
-    friction_error: float
-    lgb_error: float
-    natural_curvature: float
-    offset: tuple[float, float]
-    yaw: float
-    misfit: float
-    varies: tuple[float, float]
-    seconds: float
-    kept: bool
-    back: float | None = None
 
 
 @dataclass(frozen=True)
@@ -187,9 +147,11 @@ def following(
     """The deployments of `lay_with_feedback`, and what it returns."""
     sight = sight or Sight()
     rng = np.random.default_rng(sight.seed)
-    beliefs, beside = Beliefs(pattern, rod, friction, hold), Beside()
-    way = Way(trajectory).followed_by_tail(pattern, sight.hidden)
-    gone_on = Remembered()
+    loop = FeedbackLoop(
+        pattern, rod, trajectory, friction, every=every, hidden=sight.hidden, again=again,
+        horizon=horizon, hold=hold,
+    )  # fmt: skip
+    beliefs, gone_on = loop.beliefs, Remembered()
 
     def really(path: Trajectory, **more) -> Course[Laid]:
         how = plant.disturbance
@@ -197,73 +159,24 @@ def following(
         yaw = how.yaw + beliefs.placed[2]
         how = replace(how, offset=tuple(offset), yaw=yaw, shaking_time=_SHAKING)
         trial = Trial(pattern, plant.rod, path, plant.friction, how, Tail.none(path))
-        given = {"friction_field": plant.friction_field, **options, **more}
-        given["discretisation"] = meshed_to_the_end(given.get("discretisation", USUAL), pattern)
-        (laid,) = yield Asked([trial], None, given, gone_on)
+        how_laid = {"friction_field": plant.friction_field, **options, **more}
+        mesh = how_laid.get("discretisation", USUAL)
+        how_laid["discretisation"] = meshed_to_the_end(mesh, pattern)
+        (laid,) = yield Asked([trial], None, how_laid, gone_on)
         return laid
 
     def seen(lies: Laid, at: float) -> list[Seen]:
         return [Seen.of(lies, at, sight, rng) for _ in range(sight.pictures)]
 
-    s = trajectory.arc_length
-    gone = float(s[min(int(np.searchsorted(s, hold)) + _LEAST_POSES, len(s) - 1)])
-    path, looks, returns = way.until(gone).path, [], []
-    held: dict[str, Any] = {"release": gone + hold}
-    lies = yield from really(path, **held)
-    began = process_time()
-    misfit, _ = yield from beliefs.update(gone, path, seen(lies, gone), still=True, **held)
-    if known:
-        beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
-    now = Moment(beliefs, way, gone, np.zeros(2), horizon)
-    way, beliefs.placed, kept = yield from now.begun()
-    looks.append(_look(beliefs, path, gone, misfit, process_time() - began, kept, None))
-    while gone < way.end:
-        # The last look comes at the end of the way, which goes on for as much of the tail as the
-        # arm hides: what nobody sees, nobody lays anew.
-        gone = gone + every if gone + 1.5 * every < way.end else way.end
-        path, at = way.until(gone).path, way.laid_at(gone)
-        lies = yield from really(path)
-        pictures = seen(lies, at)
-        began = process_time()
-        misfit, laid = yield from beliefs.update(at, path, pictures)
-        if known:
-            beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
-            laid = yield from beliefs.felt(path)
-        for one in pictures:
-            aside = beside.told(laid, at, one, gone)
-        told = sum(doubted(laid, pattern, at, one, aside) for one in pictures)
-        now = Moment(beliefs, way, gone, aside, horizon, returns)
-        way, gone, back, kept = yield from now.replanned(
-            again and told > _BEYOND_NOISE and len(returns) < _MOST_TIMES
-        )
-        looks.append(_look(beliefs, path, at, misfit, process_time() - began, kept, back))
-    return Followed(way.path, lies, looks)
+    tell = partial(_know, plant) if known else None
+    looks = []
+    while True:
+        held = {"release": loop.gone + hold} if loop.held else {}
+        lies = yield from really(loop.path, **held)
+        looks.append((yield from loop.looked(seen(lies, loop.laid), tell)))
+        if loop.ended:
+            return Followed(loop.way.path, lies, looks)
 
 
-def _look(
-    beliefs: Beliefs,
-    path: Trajectory,
-    s: float,
-    misfit: float,
-    seconds: float,
-    kept: bool,
-    back: float | None,
-) -> Look:
-    trial = beliefs.trial(path)
-    x, y = beliefs.offset
-    (mu,), (error,) = beliefs.under(np.array([s]))
-    factor = np.ones(1) if beliefs.field is None else np.asarray(beliefs.field.factor)
-    return Look(
-        s,
-        float(mu),
-        float(error),
-        trial.disturbance.lgb_error,
-        trial.disturbance.natural_curvature,
-        (float(x), float(y)),
-        beliefs.yaw,
-        misfit,
-        (float(factor.min()), float(factor.max())),
-        seconds,
-        kept,
-        back,
-    )
+def _know(plant: Plant, beliefs: Beliefs) -> None:
+    beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)

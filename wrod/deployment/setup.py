@@ -33,7 +33,7 @@ _TURN = 2.0
 
 
 # Standard deviations of a careful laboratory [m, -, m, rad, 1/m].
-DEVIATIONS = {
+DEVIATIONS: dict[str, float] = {
     "jitter": 0.3e-3,
     "lgb_error": 0.03,
     "placement": 0.5e-3,

@@ -8,7 +8,11 @@ import numpy as np
 
 from wrod import arguments
 from wrod.deployment.tangents import Laid
-from wrod.errors import RodError
+from wrod.errors import DataError, RodError
+
+# Points of a rod are no further apart than that much of what is between them along it, and so many
+# deviations of noise.
+_STRETCHED, _BEYOND = 1.1, 8.0
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,60 @@ class Seen:
         place = interpolated(laid.arc_length, laid.centerline, at)
         place = place + noise * rng.standard_normal(place.shape)
         return cls(at, place, deviation, len(on))
+
+    @classmethod
+    def told(
+        cls,
+        arc_length: np.ndarray,
+        place: np.ndarray,
+        s: float,
+        length: float,
+        deviations: tuple[float, float],
+        where: str,
+    ) -> Seen:
+        """What a camera tells when `s` [m] of a rod of such a length [m] is laid: arc lengths (n,)
+        and places (n, 2) or (n, 3) [m], with deviations of what lies and of what hangs [m].
+
+        Raises:
+            DataError: these are not points of a rod; says in which picture.
+        """
+        at, place = (
+            arguments.floats(value, f"{where}: {name}", DataError)
+            for value, name in ((arc_length, "arc lengths"), (place, "points"))
+        )
+        flat = place.ndim == 2 and place.shape[1] == 2
+        if at.ndim != 1 or place.shape not in ((len(at), 2), (len(at), 3)) or not len(at):
+            raise DataError(
+                f"{where} has arc lengths {at.shape} and points {place.shape}; give (n,) and "
+                "(n, 2) or (n, 3), and leave out a picture of nothing"
+            )
+        if not (np.isfinite(at).all() and np.isfinite(place).all()):
+            raise DataError(f"{where} has points that are not finite; leave out what is not seen")
+        for deviation, name in zip(deviations, ("noise", "hanging"), strict=True):
+            if not 0.0 < deviation < np.inf:
+                raise DataError(f"{name} is {deviation!r}; give a positive deviation in metres")
+        if at.min() < 0.0 or at.max() > length:
+            raise DataError(
+                f"{where} has arc lengths from {at.min():.4g} to {at.max():.4g} m on a rod of "
+                f"{length:.4g} m"
+            )
+        order = np.argsort(at, kind="stable")
+        order = order[at[order] <= s] if flat else order
+        at, place = at[order], np.pad(place[order], ((0, 0), (0, 1 if flat else 0)))
+        lies = at <= s
+        deviation = np.where(lies[:, None], [deviations[0], deviations[0], np.inf], deviations[1])
+        # No two points of a rod are further apart than along it.
+        used = np.where(np.isfinite(deviation), place, 0.0)
+        apart = np.linalg.norm(np.diff(used, axis=0), axis=1)
+        along, noise = np.diff(at), max(deviations)
+        far = np.flatnonzero(apart > _STRETCHED * along + _BEYOND * noise)
+        if len(far):
+            k = int(far[0])
+            raise DataError(
+                f"{where} has points at {at[k]:.4g} and {at[k + 1]:.4g} m along the rod that are "
+                f"{apart[k]:.4g} m apart; give metres, each point with its own arc length"
+            )
+        return cls(at, place, deviation, int(lies.sum()))
 
 
 def interpolated(arc_length: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:

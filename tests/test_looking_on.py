@@ -1,0 +1,132 @@
+"""A deployment that is looked at on the way, as somebody with a robot and a camera uses it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import wrod
+from wrod.deployment.expectation import COARSE, PACE
+from wrod.deployment.result import errors_along
+from wrod.deployment.setup import Disturbance
+from wrod.deployment.tangents import lay
+from wrod.errors import DataError, PatternError, RodError
+from wrod.planning.tail import Tail
+
+ROD = wrod.RodMaterial(0.0016, 0.032, 0.36)
+WRONG = Disturbance(offset=(0.0, 0.004), yaw=0.01)
+
+
+@pytest.fixture(scope="module")
+def bend():
+    s = np.linspace(0.0, 0.25, 400)
+    heading = 0.5 * (1.0 + np.tanh((s - 0.15) / 0.04))
+    points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
+    pattern = wrod.Pattern.from_points(points)
+    return pattern, wrod.plan(pattern, ROD, spacing=0.005)
+
+
+@pytest.fixture
+def loop(bend, monkeypatch):
+    monkeypatch.setattr("wrod.deployment.beliefs._MESH", replace(COARSE, tolerance=1e-4))
+    return wrod.FeedbackLoop(bend[0], ROD, bend[1], 0.6, every=0.06)
+
+
+class Cell:
+    """A robot beside its place that goes through poses, and its camera: from poses alone."""
+
+    def __init__(self, pattern):
+        self.pattern, self.gone = pattern, []
+        self.rng = np.random.default_rng(0)
+
+    def go(self, loop):
+        ahead = loop.ahead
+        if len(loop.looks) < 2:  # all is begun anew after the first look
+            self.gone, self.shift = [], self.shifted(ahead)
+        self.gone.append(ahead)
+        names = ("arc_length", "contact", "position", "rotation", "force")
+        joined = {n: np.concatenate([getattr(one, n) for one in self.gone]) for n in names}
+        # Where a pattern begins, simulated rods are put down: so all of it is moved back there, and
+        # the robot as much further beside.
+        x, y, yaw = self.shift
+        turn = Rotation.from_euler("z", -yaw)
+        for name in ("contact", "position"):
+            joined[name] = turn.apply(joined[name] - [x, y, 0.0])
+        joined["rotation"] = turn.as_matrix() @ joined["rotation"]
+        path = replace(ahead, **joined, shape=None, twist=None)
+        how = Disturbance(offset=(x + WRONG.offset[0], y + WRONG.offset[1]), yaw=yaw + WRONG.yaw)
+        trial = wrod.Trial(self.pattern, ROD, path, wrod.Friction(0.6), how, Tail.none(path))
+        release = {"release": float(path.arc_length[-1]) + 0.05} if loop.held else {}
+        mesh = replace(COARSE, tolerance=1e-5, laid=self.pattern.length)
+        (self.lies,) = lay([trial], discretisation=mesh, speed=PACE, **release)
+
+    def shifted(self, ahead):
+        """Where the beginning of the pattern is to be, which is in the origin (x, y, yaw)."""
+        start, end = ahead.contact[0], ahead.contact[8]
+        meant = self.pattern.sample(ahead.arc_length[[0, 8]])[0]
+        yaw = np.subtract(*(np.arctan2(*(b - a)[1::-1]) for a, b in ((start, end), meant)))
+        x, y, _ = start - Rotation.from_euler("z", yaw).apply(meant[0])
+        return float(x), float(y), float(yaw)
+
+    def picture(self, laid):
+        at = np.arange(0.0, laid - 0.03, 0.01)
+        self.rng.shuffle(at)
+        xy = [np.interp(at, self.lies.arc_length, self.lies.centerline[:, k]) for k in range(2)]
+        return at, np.stack(xy, axis=1) + 2e-4 * self.rng.standard_normal((len(at), 2))
+
+
+def test_a_loop_of_your_own_makes_up_for_a_robot_beside_its_place(bend, loop):
+    """With poses out and points in, and nothing else."""
+    cell = Cell(bend[0])
+    while loop.ahead is not None:
+        cell.go(loop)
+        look = loop.observe([cell.picture(loop.laid) for _ in range(3)], noise=2e-4)
+    assert look is loop.looks[-1] and look.offset == pytest.approx((0.0, 0.004), abs=1e-3)
+    left = errors_along(bend[0], cell.lies.arc_length, cell.lies.centerline)[1]
+    assert left.mean() < 6e-4  # 4 mm and more without looking
+    with pytest.raises(RodError, match="has ended"):
+        loop.observe([])
+
+
+def test_pictures_that_are_none_of_this_rod_are_refused_and_change_nothing(bend, loop):
+    cell = Cell(bend[0])
+    cell.go(loop)
+    at, xy = cell.picture(loop.laid)
+    at, xy = np.sort(at), xy[np.argsort(at)]
+    nan, far = xy.copy(), xy + [0.5, 0.0]
+    nan[2, 1] = np.nan
+    wrong = {
+        "not finite": (at, nan),
+        "give metres, each point with its own arc length": (at, 1e3 * xy),
+        "0.5 m from where it is believed": (at, far),
+        "leave out a picture of nothing": (at[:0], xy[:0]),
+        r"arc lengths from 0 to \d+ m": (1e3 * at, xy),
+        "must be an array of numbers": (at, [["here", "there"]] * len(at)),
+        r"give \(n,\)": (at[:-1], xy),
+    }
+    before, ahead = loop.beliefs.accounts, loop.ahead
+    for said, picture in wrong.items():
+        with pytest.raises(DataError, match=said):
+            loop.observe([(at, xy), picture])
+    with pytest.raises(DataError, match="own arc length"):
+        loop.observe([(at, xy[np.r_[len(at) - 1, 1 : len(at) - 1, 0]])])  # two were exchanged
+    with pytest.raises(DataError, match="picture 1 was told before"):
+        loop.observe([(at, xy), (at[::-1], xy[::-1])])
+    with pytest.raises(DataError, match="noise is 0"):
+        loop.observe([(at, xy)], noise=0.0)
+    assert loop.beliefs.accounts is before and not loop.looks
+    assert np.array_equal(loop.ahead.position, ahead.position)
+    loop.observe([(at, xy)], noise=2e-4)
+    with pytest.raises(DataError, match="picture 0 was told before"):
+        loop.observe([(at, xy)])  # a picture of an earlier look
+    believed = loop.beliefs.account.mean
+    assert np.isnan(loop.observe([]).misfit)  # nothing could be seen
+    assert np.array_equal(loop.beliefs.account.mean, believed)
+
+
+def test_loops_of_other_plans_are_refused(bend):
+    with pytest.raises(PatternError):
+        wrod.FeedbackLoop(wrod.pattern("letter-L"), ROD, bend[1], 0.6)
+    with pytest.raises(RodError, match="friction is -1"):
+        wrod.FeedbackLoop(bend[0], ROD, bend[1], -1.0)
