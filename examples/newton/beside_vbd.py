@@ -1,13 +1,15 @@
-"""The examples of this folder beside Newton's own cables: error, and time of a frame, in one run.
+"""The examples of this folder beside other solvers' cables: error, and time of a frame, in one run.
 
-Six of them are stated for SolverVBD too: the same cables, as `newton.Rod`, on the mesh of the
-example, ten steps a frame; the bundle's without Dahl's friction. SolverVBD moves no arm.
+Six of them are stated for Newton's SolverVBD too: the same cables, as `newton.Rod`, on the mesh of
+the example, ten steps a frame; the bundle's without Dahl's friction. It moves no arm. Where
+dismech-newton is installed, it runs two of them, in as many steps.
 
 Run: `python examples/newton/beside_vbd.py [--device cuda:0] [--iterations 20] [EXAMPLE...]`
 """
 
 import argparse
 import importlib
+import importlib.util
 import sys
 import time
 import warnings
@@ -96,8 +98,8 @@ def run(frames: int, step, device) -> float:
     return 1e3 * (now() - start) / (frames - 2)
 
 
-def vbd_pile(module, args) -> tuple[float, float]:
-    scene, deepest = Vbd(args, 0.5), [0.0]
+def pile(solver, module, args) -> tuple[float, float]:
+    scene, deepest = solver(args, 0.5), [0.0]
     scene.builder.add_ground_plane(cfg=newton.ModelBuilder.ShapeConfig(ke=1e5, kd=0.0, mu=0.6))
     made = module.Example(ViewerNull(num_frames=1), args)
     m = made.material
@@ -113,9 +115,9 @@ def vbd_pile(module, args) -> tuple[float, float]:
     return deepest[0], took
 
 
-def vbd_crane(module, args) -> tuple[float, float]:
+def crane(solver, module, args) -> tuple[float, float]:
     made = module.Example(ViewerNull(num_frames=1), args)
-    scene, m = Vbd(args, 0.3), made.material
+    scene, m = solver(args, 0.3), made.material
     poses = made.model.body_q.numpy()
     hook = scene.builder.add_body(xform=poses[made.hook], mass=1.0)
     beam = scene.builder.add_body(
@@ -143,10 +145,10 @@ def vbd_crane(module, args) -> tuple[float, float]:
     return float(np.linalg.norm(place - fine(module, args, place_of_beam))) / 0.4, took
 
 
-def vbd_bundle(module, args) -> tuple[float, float]:
+def bundle(solver, module, args) -> tuple[float, float]:
     """The cables without Dahl's friction."""
     made, deepest = module.Example(ViewerNull(num_frames=1), args), [0.0]
-    scene, radius = Vbd(args, 3.0, 0.0), module.RADIUS
+    scene, radius = solver(args, 3.0, 0.0), module.RADIUS
     for points in lines_of(made)[:-1]:
         scene.add(points, 0.04 / (np.pi * radius**4), radius, 0.055, damping=0.02, mu=0.3)
     poses = made.model.body_q.numpy()
@@ -169,7 +171,7 @@ def vbd_bundle(module, args) -> tuple[float, float]:
     return deepest[0], took
 
 
-def vbd_junction(module, args) -> tuple[float, float]:
+def junction(solver, module, args) -> tuple[float, float]:
     nodes, edges = [np.array([0.0, 0.0, module.HEIGHT])], []
     for branch in range(3):
         turn = branch * module.THIRD
@@ -177,7 +179,7 @@ def vbd_junction(module, args) -> tuple[float, float]:
             edges.append((0 if k == 1 else len(nodes) - 1, len(nodes)))
             way = np.array([np.cos(turn), np.sin(turn), 0.0]) * module.BRANCH * k / module.EDGES
             nodes.append(nodes[0] + way)
-    scene = Vbd(args, 3.0)
+    scene = solver(args, 3.0)
     mass = module.DENSITY * np.pi * module.RADIUS**2
     bodies = scene.add(nodes, module.YOUNG, module.RADIUS, mass, damping=0.02, edges=edges)
     half = 0.5 * module.BRANCH / module.EDGES
@@ -191,8 +193,8 @@ def vbd_junction(module, args) -> tuple[float, float]:
     return float(np.abs(ends - fine(module, args, tips_of)).max()) / module.BRANCH, took
 
 
-def vbd_twist(module, args) -> tuple[float, float]:
-    scene, held = Vbd(args, 2.0, 0.0), []
+def twist(solver, module, args) -> tuple[float, float]:
+    scene, held = solver(args, 2.0, 0.0), []
     made = module.Example(ViewerNull(num_frames=1), args)
     for k, young in enumerate(module.YOUNGS):
         m = made.materials[k]
@@ -224,11 +226,11 @@ def vbd_twist(module, args) -> tuple[float, float]:
     return max(abs(wrapped(c - module.TURN)) for c in came), took
 
 
-def vbd_plectoneme(module, args) -> tuple[float, float]:
+def plectoneme(solver, module, args) -> tuple[float, float]:
     made = module.Example(ViewerNull(num_frames=1), args)
     (points,) = lines_of(made)
     young, radius, deepest = 2e7, module.RADIUS, [0.0]
-    scene = Vbd(args, 4.0, 0.0)
+    scene = solver(args, 4.0, 0.0)
     bodies = scene.add(points, young, radius, 1150.0 * np.pi * radius**2, damping=0.01, mu=0.1)
     scene.begin([bodies[0], bodies[-1]])
     first = scene.state.body_q.numpy().astype(float)
@@ -255,34 +257,42 @@ def inside_itself(q: np.ndarray, radius: float) -> float:
     return max(deepest_of([a, b], radius) for a, b in pieces)
 
 
-VBD = {
-    "crane": vbd_crane, "cable_pile": vbd_pile, "y_junction": vbd_junction,
-    "twist_transfer": vbd_twist, "bundle_hysteresis": vbd_bundle, "plectoneme": vbd_plectoneme,
+SCENES = {
+    "crane": crane, "cable_pile": pile, "y_junction": junction, "twist_transfer": twist,
+    "bundle_hysteresis": bundle, "plectoneme": plectoneme,
 }  # fmt: skip
+# What `dismech_scene` can state: chains that nothing but their own ends holds.
+CHAINS = ("cable_pile", "plectoneme")
 
 
 def main(args) -> None:
     sys.path.insert(0, str(Path(__file__).parent))
     print(machine_line(args.device), f"; newton {newton.__version__}", sep="")
-    print(f"\n| example | what is off | SolverDER | SolverVBD, {args.iterations} iterations |")
-    print("| --- | --- | --- | --- |")
+    others = {Vbd: tuple(SCENES)}
+    if importlib.util.find_spec("dismech_newton"):
+        others[importlib.import_module("dismech_scene").Dismech] = CHAINS
+    names = ("SolverVBD", "dismech-newton")[: len(others)]
+    print("", "example", "what is off", "SolverDER", *names, sep=" | ", end=" |\n")
+    print("| --- " * (3 + len(others)), end="|\n")
     for name in args.examples or WHAT:
         module = importlib.import_module(name)
         example = module.Example(ViewerNull(num_frames=1), args)
         took = run(module.Example.frame_count, lambda k, e=example: e.step(), args.device)
         error = der_error(name, example, module, args)
         print(f"| {name} | {WHAT[name]} | {error:.2g}, {took:.1f} ms |", end="", flush=True)
-        if name in VBD:
-            error, took = VBD[name](module, args)
-            print(f" {error:.2g}, {took:.1f} ms |", flush=True)
-        else:
-            print(" - |", flush=True)
+        for solver, stated in others.items():
+            said = " - |"
+            if name in stated:
+                error, took = SCENES[name](solver, module, args)
+                said = f" {error:.2g}, {took:.1f} ms |"
+            print(said, end="", flush=True)
+        print()
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("examples", nargs="*", metavar="EXAMPLE", help=", ".join(WHAT))
-    parser.add_argument("--iterations", type=int, default=20, help="of SolverVBD")
+    parser.add_argument("--iterations", type=int, default=20, help="of the others")
     parser.add_argument("--device", default="cpu", help="cpu, cuda:0")
     warnings.simplefilter("ignore")  # Newton corrects the inertia of thin capsules
     main(parser.parse_args())

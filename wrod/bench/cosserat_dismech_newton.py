@@ -1,7 +1,7 @@
 """dismech-newton as a solver of `cosseratbench`: rods whose ends are held or moved, without a turn.
 
-It wants an older Newton than wrod does, and so an environment of its own, with wrod installed
-without what it depends on.
+It asks for an older Newton than wrod does, and gives the same digits with ours: install it without
+what it depends on.
 """
 
 from importlib.metadata import version
@@ -91,7 +91,7 @@ class _Scene:
     """The model of the rods and its states."""
 
     def __init__(self, scenario: Scenario, count: int, options: dict):
-        self._builder = builder = newton.ModelBuilder(gravity=-1.0)
+        self._builder = builder = newton.ModelBuilder(gravity=(0.0, 0.0, -1.0))
         DiSMechSolver.register_custom_attributes(builder)
         self._parts, self._given, places, rest = [], [], [], []
         self._load: list[tuple[int, tuple]] = []

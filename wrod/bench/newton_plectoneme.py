@@ -97,7 +97,7 @@ def ply_of(q: np.ndarray) -> tuple[float, float]:
 
 def measure() -> Iterator[tuple[str, str, str]]:
     """Rows of found and expected."""
-    for edges, turns in ((160, 8.0), (160, 10.0), (320, 10.0)):
+    for edges, turns in ((320, 8.0), (160, 10.0), (320, 10.0), (320, 14.0)):
         ply = wind(edges, turns)
         force, moment = ply.expected()
         what = f"plectoneme of {edges} edges at {np.degrees(ply.angle):.2f} degrees"
