@@ -41,6 +41,8 @@ def test_the_report_has_the_evidence(folder):
     page = (folder / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 7
     assert "the base model lacks, as mechanics" in page
+    assert content["cautions"][0].startswith("length and axial stiffness are confounded")
+    assert "Length and axial stiffness are confounded" in page
 
 
 def test_the_model_is_a_rod_with_what_motion_tells(folder):

@@ -90,11 +90,11 @@ def test_grips_are_smoothed_by_as_much_as_noise_goes(pace, left):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("gravito_bending_length", "slenderness", "near"),
-    [(0.03, 0.06, 0.04), (0.05, 0.04, 0.04), (0.1, 0.02, 0.05)],
+    [(0.03, 0.06, 0.01), (0.05, 0.04, 0.01), (0.1, 0.02, 0.02)],
 )
 def test_a_clean_cable_lacks_nothing(gravito_bending_length, slenderness, near):
     """It had ended as hundreds of times as stiff in tension, or, where it is stiff and the noise of
-    its grips shakes it, with a drag of 10 1/s; steps of 10 ms make that one stiffer, too."""
+    its grips shakes it, with a drag of 10 1/s, and 4 % stiffer by steps of 10 ms."""
     rod = cable(gravito_bending_length, slenderness)
     content = identify_motion(motion_from_arrays(motion_example(rod, seed=3))).to_dict()
     assert content["verdict"] == "adequate"

@@ -100,6 +100,7 @@ def _lines(report) -> Iterator[str]:
         yield f"  {name} scatters from trial to trial by {size} in each direction"
     for pair in report.selection.confounded:
         yield f"  {' and '.join(pair['effects'])} are confounded: {pair['evidence']}"
+    yield from (f"  {caution}" for caution in report.cautions)
 
 
 def _write_template(kind: str, out: Path) -> None:

@@ -97,6 +97,11 @@ class Report(Finding):
         """By name, what is off anew in each trial, where that is all that is left."""
         return {}
 
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What data of this kind cannot tell, a sentence each."""
+        return ()
+
     if TYPE_CHECKING:
 
         @property

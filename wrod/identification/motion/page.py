@@ -43,6 +43,7 @@ def _page(report) -> str:
             f"{1e3 * noise.slow:.2f} mm that hang together ({noise.correlation:.2f} from frame to "
             f"frame) and by {1e3 * noise.white:.2f} mm that do not."
         )
+    facts += "".join(f" {c[0].upper()}{c[1:]}." for c in report.cautions)
     numbers = [
         ("before", report.before),
         ("after", report.after),

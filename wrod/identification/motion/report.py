@@ -74,6 +74,7 @@ class MotionReport(Report):
             "base": _plain(self.base),
             "parameters_at_a_bound": list(s.at_bound),
             "confounded": list(s.confounded),
+            "cautions": list(self.cautions),
             "correlation": {"effects": list(s.correlated), "largest": s.correlation.tolist()},
             "selection": [
                 {
@@ -101,6 +102,17 @@ class MotionReport(Report):
                 "frames_with_grip_markers_exchanged": int(m.repaired.sum()),
             },
         }
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What motion does not tell of how the rod stretches, where it was not found."""
+        if "axial_stiffness" in self.selection.model.names:
+            return ()
+        return (
+            "length and axial stiffness are confounded but for what the tension changes, which "
+            "shows nothing here: the mean stretch is in the measured lengths, and the rod is taken "
+            "to resist stretching as a common cable does",
+        )
 
     def save(self, out: str | os.PathLike[str]) -> list[Path]:
         """Write report.json, report.html and model.json into a folder."""
