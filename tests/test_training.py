@@ -1,5 +1,6 @@
 import json
 import shutil
+import time
 from contextlib import ExitStack
 from dataclasses import replace
 from types import SimpleNamespace
@@ -21,7 +22,7 @@ from wrod.training.sampling import sample
 from wrod.commands import main
 from wrod.controller import model as controller_model
 from wrod.controller.controller import Controller
-from wrod.errors import DataError
+from wrod.errors import DataError, GraspError
 from wrod.grasps.optimal import solve_grasps
 
 SMALL = Recipe(
@@ -81,6 +82,18 @@ def test_solver_gradients_broadcast_and_keep_the_tensor_s_kind():
     assert position.dtype == rotation.dtype == torch.float32
     position[:, 2].sum().backward()
     assert torch.all(length.grad > 0.5)  # a longer rod is held higher
+    none = solve_grasps_differentiable(torch.ones(0), torch.tensor(0.7), torch.tensor(900.0))
+    assert [tuple(one.shape) for one in none] == [(0, 3)] * 3
+
+
+def test_what_is_expanded_is_refused_before_it_takes_room():
+    began, many = time.process_time(), torch.ones(1, 3).expand(2**31, 3)
+    with pytest.raises(GraspError, match=r"broadcast to \(2147483648, 3\); give \(n,\)"):
+        solve_grasps_differentiable(many, torch.tensor(0.7), torch.tensor(900.0))
+    with pytest.raises(GraspError, match="finite"):
+        nothing = torch.tensor(torch.nan).expand(9)
+        solve_grasps_differentiable(nothing, torch.tensor(0.7), torch.tensor(900.0))
+    assert time.process_time() - began < 1.0
 
 
 @pytest.mark.parametrize("architecture", ["chain", "paper"])

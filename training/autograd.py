@@ -21,6 +21,9 @@ def tensor(value) -> str | None:
     """Finite floats in a plain tensor."""
     good = isinstance(value, torch.Tensor) and value.is_floating_point()
     good = good and value.layout == torch.strided and not value.is_meta
+    if good:
+        # What is expanded repeats a few numbers, and is no larger for it.
+        value = value[tuple(slice(None if step else 1) for step in value.stride())]
     return None if good and bool(value.isfinite().all()) else "must be a tensor of finite floats"
 
 
@@ -78,6 +81,9 @@ def solve_grasps_differentiable(
         inputs = torch.broadcast_tensors(suspended_length, curvature, stretch_ratio)
     except RuntimeError as error:
         raise GraspError(f"solve_grasps_differentiable: {error}") from None
+    if inputs[0].dim() > 1:  # before what is expanded becomes numbers of its own
+        shape = tuple(inputs[0].shape)
+        raise GraspError(f"solve_grasps_differentiable: inputs broadcast to {shape}; give (n,)")
     return _SolveGrasps.apply(*inputs, device)
 
 

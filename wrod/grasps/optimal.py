@@ -230,7 +230,7 @@ def _grasps(inputs: GraspArrays, out: Results, eigenvalue, shapes: bool) -> Gras
     names += ["iterations", "residual"]
     if shapes:
         names += ["shape", "arc_length"]
-    if out.position_sensitivity.shape[0]:
+    if out.position_sensitivity.shape[1]:
         names += SENSITIVITIES
     values = {name: inputs.result(getattr(out, name)) for name in names}
     return Grasps(**values, eigenvalue=eigenvalue)
