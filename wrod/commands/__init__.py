@@ -21,7 +21,6 @@ from wrod.commands.running import (
 )
 from wrod.commands.surroundings import open_streams, settle_variables
 from wrod.errors import WrodWarning
-from wrod.files.writing import begin
 
 COMMANDS = (
     "plan",
@@ -100,7 +99,9 @@ class LazyGroup(click.Group):
 
     def main(self, *args, **kwargs):
         open_streams()
-        begin()
+        # What no command has loaded yet has nothing to forget, and brings NumPy with it.
+        if "wrod.files.writing" in sys.modules:
+            sys.modules["wrod.files.writing"].begin()
         try:
             return super().main(*args, **kwargs)
         except KeyboardInterrupt:  # before a command began, or after it ended
