@@ -74,7 +74,7 @@ def test_the_command_says_what_is_expected(bend, tmp_path):
     arguments += ["--method", "intuitive", "--no-robot", "--units", "m", "--spacing", "0.01"]
     result = done(*arguments, "--out", tmp_path / "out")
     assert re.search(
-        r"cm off the pattern; [\d.]+ at friction 0.2, .* at friction 0.6", result.output
+        r"cm off the pattern, .* has it; [\d.]+ at friction 0.2 to .* to 0.6", result.output
     )
     assert "up to the largest friction of 0.6" in result.output
     assert "lies off the pattern by more than 5 mm at s = " in result.output

@@ -85,18 +85,26 @@ def _laid_slowly(path: dict, figures: dict) -> list[str]:
 def _expectation(expected: dict, optimised: dict | None) -> list[str]:
     """What simulated deployments say of the plan, in sentences."""
     mus, errors = expected["friction"], expected["error_mean"]
+    half = -(-len(mus) // 2)
+    own = sum(expected["error_robot"]) / len(mus)
     lines = [
         f"expected of {len(mus)} disturbed rods, laid in simulation: "
-        f"{100 * expected['mean']:.2f} ± {100 * expected['deviation']:.2f} cm off the pattern; "
+        f"{100 * expected['mean']:.2f} ± {100 * expected['deviation']:.2f} cm off the pattern, "
+        f"{100 * own:.2f} from where the robot, misplaced, has it; "
         + ", ".join(
-            f"{100 * e:.2f} at friction {mu:.2g}" for mu, e in zip(mus, errors, strict=True)
+            f"{100 * sum(some) / len(some):.2f} at friction {first:.2g} to {last:.2g}"
+            for some, first, last in (
+                (errors[:half], mus[0], mus[half - 1]),
+                (errors[half:], mus[min(half, len(mus) - 1)], mus[-1]),
+            )
+            if some
         )
     ]
     holds = expected["holds_from"]
     lines.append(
-        f"within 5 mm of the pattern from friction {holds:.2g} on"
+        f"within 5 mm of where the robot has it from friction {holds:.2g} on"
         if holds is not None
-        else f"more than 5 mm off somewhere, up to the largest friction of {mus[-1]:.2g}"
+        else f"more than 5 mm off that somewhere, up to the largest friction of {mus[-1]:.2g}"
     )
     if optimised is not None:
         lines.append(

@@ -72,9 +72,9 @@ def expect(
         "mean", "deviation" [m]; error_robot (trials,): the same from where the robot, misplaced,
         has the pattern, which is what the plan can answer for; "slides": stretches (from, to) of
         the pattern's arc length [m] where the rod slides by more than 1 mm in half of the trials;
-        "off": stretches that lie more than 5 mm from the pattern in any, each with the friction
-        from which on it does not in any trial (None: in none of them); "holds_from": the friction
-        from which on nothing does (None: none); "error_along": (50,) mean over the trials along
+        "off": stretches that lie more than 5 mm from there in any, each with the friction from
+        which on it does not in any trial (None: in none of them); "holds_from": the friction from
+        which on nothing does (None: none); "error_along": (50,) mean over the trials along
         the pattern [m]; diverged: how many did.
     """
     course = expecting(pattern, rod, [trajectory], friction, trials, pace, coarse)
@@ -191,27 +191,29 @@ class Unseen:
         """What `expect` says of a trajectory by which they lie like this."""
         pattern, mus = self.pattern, self.frictions
         error = np.array([np.hypot(*misplacement(pattern, one)[0].reshape(2, -1)) for one in laid])
-        own = [
-            robot_error(pattern, one.arc_length, one.centerline, disturbance)
-            for one, disturbance in zip(laid, self.disturbances, strict=True)
-        ]
+        own = np.array(
+            [
+                _robot_errors(pattern, one.arc_length, one.centerline, disturbance)
+                for one, disturbance in zip(laid, self.disturbances, strict=True)
+            ]
+        )
         s = np.linspace(0.0, pattern.length, METRIC_POINTS)
         slid = np.array(
             [np.interp(s + pattern.remainder_length, x.arc_length, x.slip) for x in laid]
         )
-        bad = np.flatnonzero((error > _OFF).any(axis=1))
+        bad = np.flatnonzero((own > _OFF).any(axis=1))
         good = int(bad[-1]) + 1 if len(bad) else 0
         off = []
-        for start, stop in _stretches(s, np.any(error > _OFF, axis=0)):
+        for start, stop in _stretches(s, np.any(own > _OFF, axis=0)):
             inside = (s >= start) & (s <= stop)
-            bad = (error[:, inside] > _OFF).any(axis=1)
+            bad = (own[:, inside] > _OFF).any(axis=1)
             last = int(np.flatnonzero(bad)[-1])
             off.append([start, stop, float(mus[last + 1]) if last + 1 < len(mus) else None])
         means = error.mean(axis=1)
         return {
             "friction": mus.tolist(),
             "error_mean": means.tolist(),
-            "error_robot": own,
+            "error_robot": own.mean(axis=1).tolist(),
             "beside": self.beside.tolist(),
             "mean": float(means.mean()),
             "deviation": float(means.std()),
@@ -251,11 +253,18 @@ def robot_error(
 
     Misplacement moves whatever is laid, and says nothing of how it was laid.
     """
+    return float(_robot_errors(pattern, arc_length, centerline, disturbance).mean())
+
+
+def _robot_errors(
+    pattern: Pattern, arc_length: np.ndarray, centerline: np.ndarray, disturbance: Disturbance
+) -> np.ndarray:
+    """(50,) of `robot_error` [m]."""
     (origin,), _, _ = pattern.sample(-pattern.remainder_length)
     s = np.linspace(0.0, pattern.length, METRIC_POINTS)
     target = disturbance.displaced(pattern.sample(s)[0], origin)
     lies = interpolation(s + pattern.remainder_length, arc_length) @ centerline
-    return float(np.hypot(*(lies - target)[:, :2].T).mean())
+    return np.hypot(*(lies - target)[:, :2].T)
 
 
 def edged(mesh: Discretisation, longest: float) -> Discretisation:
