@@ -113,6 +113,11 @@ def test_pictures_that_are_none_of_this_rod_are_refused_and_change_nothing(bend,
         loop.observe([(at, xy[np.r_[len(at) - 1, 1 : len(at) - 1, 0]])])  # two were exchanged
     with pytest.raises(DataError, match="picture 1 was told before"):
         loop.observe([(at, xy), (at[::-1], xy[::-1])])
+    with pytest.raises(DataError, match="no point that lies"):
+        loop.observe([(np.array([0.3]), np.array([[0.3, 0.1]]))])
+    for none in (None, 5, (at, xy), [(at, xy, 1)]):
+        with pytest.raises(DataError, match="give a list of"):
+            loop.observe(none)
     with pytest.raises(DataError, match="noise is 0"):
         loop.observe([(at, xy)], noise=0.0)
     assert loop.beliefs.accounts is before and not loop.looks

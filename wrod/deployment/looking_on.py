@@ -197,6 +197,13 @@ class FeedbackLoop:
         if self.ended:
             raise RodError("the deployment has ended; there is nothing to look at any more")
         length, seen, told = self.beliefs.rod.length, [], set(self._known)
+        pairs = isinstance(pictures, list | tuple) and all(
+            isinstance(one, list | tuple) and len(one) == 2 for one in pictures
+        )
+        if not pairs:
+            raise DataError(
+                f"pictures are {arguments.shown(pictures)}; give a list of (arc lengths, places)"
+            )
         for k, (arc_length, place) in enumerate(pictures):
             one = Seen.told(arc_length, place, self.laid, length, (noise, hanging), f"picture {k}")
             digest = one.place.tobytes()

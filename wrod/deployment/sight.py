@@ -110,6 +110,10 @@ class Seen:
         order = order[at[order] <= s] if flat else order
         at, place = at[order], np.pad(place[order], ((0, 0), (0, 1 if flat else 0)))
         lies = at <= s
+        if not lies.any():
+            raise DataError(
+                f"{where} has no point that lies, up to {s:.4g} m along the rod; leave it out"
+            )
         deviation = np.where(lies[:, None], [deviations[0], deviations[0], np.inf], deviations[1])
         # No two points of a rod are further apart than along it.
         used = np.where(np.isfinite(deviation), place, 0.0)
