@@ -31,11 +31,9 @@ _DRIFT = np.array([0.1, 0.05, 0.05, 0.1, 0.1, 0.1])
 _DRIFTS = 0.1 * _DRIFT, _DRIFT
 # How likely it is, before anything is seen, that friction differs from place to place.
 _VARIES = 0.05
-# Change of a belief up to which what is believed to lie answers linearly, in these; how often it
-# is made linear anew for one that is larger and more than that part of its error, for all accounts
-# together as long as it is no larger than that; then for each by itself, and the largest change
-# between two times: a rod that slides little where friction is high says by its derivatives that it
-# has to be far lower than it is.
+# Change of a belief up to which what lies answers linearly, in these; how often it is made linear
+# anew for one that is larger and more than that part of its error, for all accounts together up to
+# such a change; then for each by itself, and the largest change between two times.
 _LINEAR, _TOGETHER, _ENOUGH, _MOST_TOGETHER = 0.05, 2, 0.2, 0.3
 _ITERATIONS, _MOST_CHANGE = 8, 1.0
 # Which of these moves all that lies, and nothing else.
@@ -116,8 +114,7 @@ class Beliefs:
 
     @property
     def account(self) -> Account:
-        """The mean of all, as likely as they are, and the covariance about it: what has slid
-        nowhere yet may be another than it is where it slid."""
+        """All of them: what has slid nowhere yet may be another than it is where it slid."""
         return _all_of(self.accounts)
 
     @property
@@ -192,9 +189,8 @@ class Beliefs:
         mean: np.ndarray | None = None,
         **options,
     ) -> Course[Laid]:
-        """What is believed to lie at the end of a path, or by another `mean`, and its derivatives
-        by all that is believed [m/deviation], and after these along `more`; all of it `placed` as
-        in `trial`.
+        """What is believed to lie at the end of a path, and its derivatives by all that is believed
+        [m/deviation], and after these along `more`; `placed` and of a `mean` as in `trial`.
 
         As long as what is believed is nearly what deployments were laid for, what lies answers
         linearly, and these go on from where they have come to.
@@ -240,7 +236,8 @@ class Beliefs:
                 return misfit, replace(laid, centerline=lies)
             if np.abs(step).max() > _MOST_TOGETHER:
                 break
-        # Each by derivatives of its own: those of their mean favour which of them bends more.
+        # Each by derivatives of its own: a rod that slides little where friction is high says by
+        # its derivatives that it has to be far lower than it is, and more numbers explain that.
         told = []
         for one in prior:
             here = one.mean
@@ -326,8 +323,7 @@ def told_by(
     # All that the pictures tell together is as sure as 1 / (deviation^2 / pictures + model^2).
     weight = 1.0 / (seen.deviation**2 + pictures * model[:, None] ** 2)
     weight[seen.arc_length < s - _MEMORY] = 0.0
-    weight = weight.ravel()
-    apart = residual.ravel()
+    weight, apart = weight.ravel(), residual.ravel()
     pulled = matrix.T * weight
     return pulled @ matrix, pulled @ apart, residual, 0.5 * float(weight @ apart**2)
 
@@ -367,8 +363,7 @@ class Beside:
         left = np.exp(-(gone - self.gone) / _NEAR)
         if gone > self.gone:
             self.chance = (1.0 - _NEWS) * self.chance + _NEWS * _LIKELY
-        self.gone = gone
-        self.mean = left * self.mean
+        self.gone, self.mean = gone, left * self.mean
         renewed = (1.0 - left**2) * _BESIDE[:, None, None] ** 2 * np.eye(2)
         self.covariance = left**2 * self.covariance + renewed
         across, apart = _across(laid, s, seen)
@@ -376,8 +371,7 @@ class Beside:
         information = weight * across.T @ across
         told = weight * across.T @ apart
         pull = told - self.mean @ information
-        # Of what is seen, against its being where it is believed to lie: what had been known before
-        # the look explains, and what it adds.
+        # Against its being where it is believed to lie: what was known before, and what this adds.
         explained = np.einsum("ki,ki->k", told + pull, self.mean)
         spread = np.eye(2) + information @ self.covariance
         self.covariance = self.covariance @ np.linalg.inv(spread)
