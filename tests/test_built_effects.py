@@ -12,8 +12,10 @@ from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.moment_law import MomentLaw
-from wrod.identification.clamped.profiles import ProfileEffect, _linearised, profiles_of
-from wrod.identification.clamped.steps import exchanged
+from wrod.identification.clamped.profiles import ProfileEffect, _linearised, profiles_of, told
+from wrod.identification.clamped.refinement import with_profile
+from wrod.identification.clamped.steps import evident, exchanged, leaner
+from wrod.identification.clamped.verdict import Round
 from wrod.identification.effect import Model, effects
 
 BASIS = np.random.default_rng(3).normal(size=(21, 2, 3))
@@ -128,6 +130,44 @@ def test_the_scan_finds_the_kind_and_the_place():
     assert np.allclose(values * 0.025, [0.1, 0.15], atol=0.02)
     windows = [(i, j) for i in range(21) for j in range(i + 1, 21)]
     assert taken > linear.scan(("force",), windows)[0][0]
+
+
+def stepped(size):
+    """(laboratory, smooth profile, one that may have kinks, (21, 2) the truth) of a rod whose
+    curvature ends half way."""
+    curvature = size * np.array([4.0, -3.0])
+
+    def step(setup):
+        near = setup.arc_length < 0.24
+        setup.natural_curvature = setup.natural_curvature + near[:, None] * curvature
+
+    laboratory = Laboratory(measurements_from_arrays(synthetic(step, seed=5, trials=8)))
+    found = next(f for f in profiles_of(_linearised(laboratory)) if f.kind == "curvature")
+    smooth = ProfileEffect("curvature", found.basis)
+    (smooth,) = fit_models(laboratory, [Model((smooth,))], [smooth.start])
+    rich = with_profile(laboratory, smooth, 0, "curvature")[0]
+    place = np.linspace(0.0, laboratory.measurements.material.length, 21)
+    return laboratory, smooth, rich, (place < 0.24)[:, None] * curvature
+
+
+def test_a_step_of_curvature_is_likelier_as_a_profile_that_may_have_kinks():
+    laboratory, *fits, true = stepped(1.0)
+    assert evident(fits[1]) < evident(fits[0]) - 6.0
+    off = [
+        np.abs(told("curvature", f.model.effects[0], f.values, laboratory.measurements)[0] - true)
+        for f in fits
+    ]
+    assert off[1].mean() < 0.7 * off[0].mean()
+
+
+def test_a_profile_gives_way_to_a_constant_by_evidence():
+    """The criterion takes each of its components for a number that was free."""
+    laboratory, _, rich, _ = stepped(0.25)
+    weighed = Round((), rich, [rich], [0.0], rich.model.names, "")
+    constant = effects()["natural_curvature"]
+    assert leaner(laboratory, rich, [constant], [weighed]) is rich
+    (constant,) = (f for f in weighed.fits if f.model.names == ("natural_curvature",))
+    assert constant.bic < rich.bic and evident(constant) > evident(rich)
 
 
 def test_nothing_is_exchanged_beside_a_profile():

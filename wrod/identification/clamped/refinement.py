@@ -93,7 +93,7 @@ def refined(
             continue
         poor, rich, before = current, None, np.inf
         for _ in range(_PASSES):
-            rich, evidence, ahead = _with_profile(laboratory, rich or poor, place, kind)
+            rich, evidence, ahead = with_profile(laboratory, rich or poor, place, kind)
             if rich is None:
                 break
             noise, rates = estimate(laboratory, rich.model, rich.values)
@@ -258,7 +258,7 @@ def _expected(own: _Beside) -> tuple[np.ndarray, float, float]:
     return like, float(evidence), float(logsumexp(both) - evidence)
 
 
-def _with_profile(
+def with_profile(
     laboratory: Laboratory, current: Fit, place: int, kind: str
 ) -> tuple[Fit | None, float, float]:
     """(the model with a profile about one of its effects, None where it has no equilibrium; log

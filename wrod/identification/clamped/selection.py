@@ -27,13 +27,14 @@ from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.moment_law import MomentLaw, moment_law_of
 from wrod.identification.clamped.noise import estimate
-from wrod.identification.clamped.profiles import built_effects
-from wrod.identification.clamped.refinement import EVIDENCE, profile_of, refined
+from wrod.identification.clamped.profiles import ProfileEffect, built_effects
+from wrod.identification.clamped.refinement import EVIDENCE, profile_of, refined, with_profile
 from wrod.identification.clamped.scatter import only_scatter
 from wrod.identification.clamped.steps import (
     FLUCTUATION,
     base_fit,
     best_of_each,
+    evident,
     exchanged,
     extensions,
     has_profile,
@@ -356,26 +357,19 @@ def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[R
     built = any(isinstance(e, Described) for e in current.model.effects)
     if not alone:
         return current, held_out
-    gain, least = current.bic - alone[0].bic, BIC_MARGIN
-    if built:  # from the same residual: it has no better claim than its evidence
-        gain, least = _evident(current) - _evident(alone[0]), 2.0 * EVIDENCE
+    best, less, gain, least = alone[0], current, current.bic - alone[0].bic, BIC_MARGIN
+    if built:
+        # From the same residual: it has no better claim than its evidence, of what the data leave
+        # possible with the present noise. One that was found with another, and smoother, has less.
+        own = best.model.effects[0]
+        assert isinstance(own, ProfileEffect)
+        best = with_profile(laboratory, best, 0, own.kind)[0] or best
+        less, gain, least = empty, evident(current) - evident(best), 2.0 * EVIDENCE
     if gain < least:
         return current, held_out
-    less = empty if built else current
-    step, ahead = _judged(laboratory, empty, less, alone[0], alone, held_out)
+    step, ahead = _judged(laboratory, empty, less, best, alone, held_out)
     rounds.append(step)
-    return (alone[0], ahead) if step.accepted else (current, held_out)
-
-
-def _evident(fit: Fit) -> float:
-    """As the criterion of a fit, by its evidence (Laplace): a number costs by how much the data
-    narrow its prior. The criterion takes each component of a profile for a free number, and a place
-    that the data know to a thousandth of what it might be for one that costs no more."""
-    known = [p.anywhere for p in fit.model.parameters]
-    scale = np.array([p.scale for p in fit.model.parameters])
-    away = np.where(known, 0.0, fit.values / scale)
-    narrowed = -np.linalg.slogdet(fit.covariance / np.outer(scale, scale))[1]
-    return float(fit.chi_squared + away @ away + narrowed)
+    return (best, ahead) if step.accepted else (current, held_out)
 
 
 def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
