@@ -47,10 +47,10 @@ CLAMPED = Thresholds(
 )  # fmt: skip
 MOTION = Thresholds(
     1.15, 0.2, False,
-    "The floor adds what mesh, time step and the noise of grips and first frames leave, which is "
-    "estimated. It lies far below what any model leaves of seconds of motion, so the excess is the "
-    "error itself, and many effects share it: all that are found take a third to two thirds of a "
-    "recorded cable's.",
+    "The floor adds what the noise of grips and first frames leaves, which is estimated; what mesh "
+    "and time step lack is added to predictions. It lies far below what any model leaves of "
+    "seconds of motion, so the excess is the error itself, and many effects share it: all that are "
+    "found take a third to two thirds of a recorded cable's.",
 )  # fmt: skip
 LAID = Thresholds(
     1.15, 0.2, False,
