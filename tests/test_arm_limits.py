@@ -70,7 +70,7 @@ def test_a_range_of_paces_ends_where_the_arm_does():
         def solve(_, *, grip_speed, whole_job):
             if fastest is None:
                 raise RobotError("no joint path")
-            return SimpleNamespace(grip_speed=min(grip_speed, fastest))
+            return SimpleNamespace(steady_speed=min(grip_speed, fastest))
 
         return SimpleNamespace(solve=solve, no_robot=False)
 
