@@ -39,3 +39,42 @@ def test_departure_beyond_the_tolerance_is_refused_with_the_one_that_is_not():
         round_corners(pattern, 60.0, tolerance=0.001)
     wanted = float(str(error.value).split("--tolerance ")[1].split(",")[0])
     assert round_corners(pattern, 60.0, tolerance=wanted)[1].largest <= wanted
+
+
+def star(tips, inner):
+    angle = np.pi / 2 + np.arange(2 * tips + 1) * np.pi / tips
+    radius = np.where(np.arange(2 * tips + 1) % 2 == 0, 0.15, 0.15 * inner)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+
+
+def zigzag(half):
+    k = np.arange(7)
+    return np.column_stack([0.1 * k * np.sin(half), (k % 2) * 0.1 * np.cos(half)])
+
+
+@pytest.mark.parametrize(
+    ("points", "turn", "radius"),
+    [
+        (star(5, 0.382), np.radians(144), 0.011),
+        (
+            star(8, 0.6),
+            np.pi - 2 * np.arctan2(0.09 * np.sin(np.pi / 8), 0.15 - 0.09 * np.cos(np.pi / 8)),
+            0.011,
+        ),
+        (zigzag(0.45), np.pi - 0.9, 0.011),
+        (np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2], [0, 0.0]]), np.pi / 2, 0.02),
+    ],
+)
+def test_many_sharp_tips_depart_about_as_little_as_fillets(points, turn, radius):
+    """An arc between the lines stands radius (sec(turn / 2) - 1) off its tip."""
+    pattern = wrod.Pattern.from_points(points)
+    arc = radius * (1 / np.cos(turn / 2) - 1)
+    rounded, said = round_corners(pattern, 1 / radius, tolerance=1.3 * arc)
+    assert 0.2 * arc < said.largest <= 1.3 * arc
+    s = np.linspace(0.0, rounded.length, 4000)
+    assert np.abs(rounded.sample(s)[2]).max() * radius < 1.001
+
+
+def test_refusal_never_advises_a_tolerance_that_loses_the_drawing():
+    with pytest.raises(PatternError, match="give a larger drawing or a softer rod"):
+        round_corners(wrod.Pattern.from_points(zigzag(0.25)), 1 / 0.011)

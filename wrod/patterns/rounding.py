@@ -9,6 +9,7 @@ from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import spsolve
 
 from wrod.errors import PatternError
+from wrod.patterns.fillets import bends, fillets
 from wrod.patterns.pattern import Pattern
 
 _KNOTS_PER_BEND = 4.0  # knots of the curvature per radius of the tightest bend
@@ -70,9 +71,9 @@ def round_corners(
     if sharpest <= bound * (1.0 + 1e-6):
         return pattern, None
     flat, angles = position[:, :2], np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
-    best = None
+    first, best = fillets(s, flat, angles, curvature, bound), None
     for smooth in _SMOOTH:
-        spline, start, angle = _nearest(s, flat, angles, bound, smooth)
+        spline, start, angle = _nearest(s, flat, angles, first, bound, smooth)
         heading = PPoly.from_spline(spline.antiderivative())
         heading.c[-1] += angle - float(heading(0.0))
         other = Pattern(
@@ -92,41 +93,42 @@ def round_corners(
     rounded, rounding = best
     if rounding.largest > tolerance:
         worst, far = max(rounding.places, key=lambda place: place[1])
+        # Beyond a quarter of a leg between bends the drawing would be lost.
+        legs = np.diff([0.0, *(s[[a, b]].mean() for a, b in bends(curvature, bound)), s[-1]])
+        lost = far > 0.25 * np.median(legs)
+        more = "" if lost else f"--tolerance {np.ceil(1e4 * far) / 1e4 + 0.0001:.4f}, "
         raise PatternError(
             f"{pattern.source}: bends by {sharpest:.0f} 1/m, and this rod lies in no more than "
             f"{bound:.0f} 1/m (radius {1e3 / bound:.0f} mm); rounded, it would depart by "
             f"{1e3 * far:.1f} mm at s = {worst:.3f} m, more than the tolerance of "
-            f"{1e3 * tolerance:g} mm; give --tolerance {np.ceil(1e4 * far) / 1e4 + 0.0001:.4f}, "
-            "a larger drawing or a softer rod"
+            f"{1e3 * tolerance:g} mm; give {more}a larger drawing or a softer rod"
         )
     return rounded, rounding
 
 
-def _nearest(s, points, heading, bound, smoothness):
-    """Cubic spline of curvature over [0, length], first point and heading of the nearest curve."""
-    length = s[-1]
+def _nearest(s, points, heading, first, bound, smoothness):
+    """Cubic spline of curvature over [0, length], first point and heading of the nearest curve.
+
+    The descent starts from the curve `first`: see `fillets`.
+    """
+    length = first[-1, 0]
     knots = int(np.clip(_KNOTS_PER_BEND * bound * length, 24, _MOST_KNOTS))
     inner = np.linspace(0.0, 1.0, knots)
     full = np.concatenate([np.zeros(3), inner, np.ones(3)])
     size = len(full) - 4
     u = np.linspace(0.0, 1.0, 4 * knots)
     design = BSpline.design_matrix(u, full, 3).toarray()
-    bends = np.diff(np.eye(size), n=2, axis=0)
-    # The curvature as the knots resolve it, every turn kept; its bound then comes down in steps,
-    # so that the curve stays near.
-    width = length / knots / (s[1] - s[0])
-    spread = np.gradient(gaussian_filter1d(heading, width, mode="nearest"), s)
-    sample = BSpline.design_matrix(s / length, full, 3)
-    coefficients = spsolve((sample.T @ sample).tocsc(), sample.T @ spread)
-    bounds = [bound] * _ITERATIONS
+    second = np.diff(np.eye(size), n=2, axis=0)
+    coefficients = _resolved(first, np.linspace(0.0, length, len(s)), length / knots, full)
+    # The bound comes down in steps, so that the curve stays near.
+    bounds, best, least = [bound] * _ITERATIONS, None, np.inf
     while bounds[0] < np.abs(coefficients).max():
         bounds.insert(0, bounds[0] * _STAGE)
     start, angle = points[0].copy(), float(heading[0])
     tangents = np.column_stack([np.cos(heading), np.sin(heading)])
     ds = u[1] - u[0]
-    index = np.round(np.linspace(0, len(s) - 1, len(u))).astype(int)
+    index = np.round(np.interp(u * length, first[:, 0], first[:, 2]) / s[1]).astype(int)
     for iteration, limit in enumerate(bounds):
-        coefficients = coefficients.clip(-limit, limit)
         turned = np.concatenate([[0.0], np.cumsum(_middle(design @ coefficients)) * ds * length])
         theta = angle + turned
         ahead = np.column_stack([np.cos(theta), np.sin(theta)])
@@ -158,22 +160,36 @@ def _nearest(s, points, heading, bound, smoothness):
         parts.append(np.hstack([np.diff(np.eye(size), axis=0)[:3] / bound, np.zeros((3, 4))]))
         wanted.append(-np.diff(coefficients)[:3] / bound)
         smooth = smoothness / bound * np.sqrt(len(u) / size) * length
-        parts.append(np.hstack([smooth * bends, np.zeros((len(bends), 4))]))
-        wanted.append(-smooth * (bends @ coefficients))
+        parts.append(np.hstack([smooth * second, np.zeros((len(second), 4))]))
+        wanted.append(-smooth * (second @ coefficients))
+        # Far from the solution a step can lead away from it: the best that keeps the bound counts.
+        cost = sum(float(part @ part) for part in wanted)
+        if np.abs(coefficients).max() <= bound and cost < least:
+            least, best = cost, (BSpline(full * length, coefficients, 3), start, angle)
         low = np.concatenate([-limit - coefficients, [-0.3, -0.1 * length, -0.1, -0.1]])
         high = np.concatenate([limit - coefficients, [0.3, 0.1 * length, 0.1, 0.1]])
+        # The triangle has the rows' normal equations and a tenth of their number.
+        rows = np.column_stack([np.concatenate(parts), np.concatenate(wanted)])
+        triangle = np.linalg.qr(rows, mode="r")
         step = lsq_linear(
-            np.concatenate(parts), np.concatenate(wanted), (low - 1e-12, high + 1e-12), max_iter=60
+            triangle[:, :-1], triangle[:, -1], (low - 1e-12, high + 1e-12), max_iter=60
         ).x
         coefficients = (coefficients + step[:size]).clip(-limit, limit)
         angle, length = angle + step[size], length + step[size + 1]
         start = start + step[size + 2 :]
-        if limit > bound:
+        if limit > bound or best is None:
             continue
         if np.abs(step[:size]).max() < 1e-3 * bound and np.abs(step[size:]).max() < 1e-5:
             break
-    spline = BSpline(full * length, coefficients, 3)
-    return spline, start, angle
+    return best
+
+
+def _resolved(first, even, width, full):
+    """Coefficients of the curvature as knots a `width` apart resolve it, every turn kept."""
+    turned = np.interp(even, first[:, 0], first[:, 1])
+    spread = np.gradient(gaussian_filter1d(turned, width / even[1], mode="nearest"), even)
+    sample = BSpline.design_matrix(even / even[-1], full, 3)
+    return spsolve((sample.T @ sample).tocsc(), sample.T @ spread)
 
 
 def _middle(values: np.ndarray) -> np.ndarray:
