@@ -35,6 +35,19 @@ def shared() -> Path:
 
 
 @pytest.fixture(scope="session")
+def bend():
+    """A bend of 0.25 m, and a plan of it for `vps.SHORT`."""
+    import numpy as np
+    from vps import SHORT
+
+    s = np.linspace(0.0, 0.25, 400)
+    heading = 0.5 * (1.0 + np.tanh((s - 0.15) / 0.04))
+    points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
+    pattern = wrod.Pattern.from_points(points)
+    return pattern, wrod.plan(pattern, SHORT, spacing=0.005)
+
+
+@pytest.fixture(scope="session")
 def letter():
     """An optimal trajectory of a letter C for rod 2, with the shapes of the rod."""
     return wrod.plan(

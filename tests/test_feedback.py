@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cli import refused, run
+from vps import SHORT as ROD
 
 import wrod
 from wrod.deployment.beliefs import Beliefs, Beside, doubted, meshed_to_the_end, told_by
@@ -23,17 +24,7 @@ from wrod.errors import RodError
 from wrod.planning.tail import Tail
 from wrod.solvers.contact import Friction
 
-ROD = wrod.RodMaterial(0.0016, 0.032, 0.36)
 ROUGH = {"discretisation": replace(COARSE, tolerance=1e-5), "speed": PACE}
-
-
-@pytest.fixture(scope="module")
-def bend():
-    s = np.linspace(0.0, 0.25, 400)
-    heading = 0.5 * (1.0 + np.tanh((s - 0.15) / 0.04))
-    points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
-    pattern = wrod.Pattern.from_points(points)
-    return pattern, wrod.plan(pattern, ROD, spacing=0.005)
 
 
 def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend, monkeypatch):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from vps import SHORT as ROD
 
 import wrod
 from wrod.deployment.expectation import COARSE, PACE
@@ -14,17 +15,7 @@ from wrod.deployment.tangents import lay
 from wrod.errors import DataError, PatternError, RodError
 from wrod.planning.tail import Tail
 
-ROD = wrod.RodMaterial(0.0016, 0.032, 0.36)
 WRONG = Disturbance(offset=(0.0, 0.004), yaw=0.01)
-
-
-@pytest.fixture(scope="module")
-def bend():
-    s = np.linspace(0.0, 0.25, 400)
-    heading = 0.5 * (1.0 + np.tanh((s - 0.15) / 0.04))
-    points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
-    pattern = wrod.Pattern.from_points(points)
-    return pattern, wrod.plan(pattern, ROD, spacing=0.005)
 
 
 @pytest.fixture

@@ -5,12 +5,14 @@ import warp as wp
 
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import cells
+from wrod.rods.material import RodMaterial
 from wrod.solvers.statics import prescribe
 
 G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
 WEIGHT = np.pi * RADIUS**2 * DENSITY * G
 STIFFNESS = 2 * WEIGHT * LGB**3
 CONTACT = 600 * WEIGHT / RADIUS
+SHORT = RodMaterial(RADIUS, LGB, 0.36)
 
 
 def rods(position, gravity=(0.0, 0.0, -G), *, stiffer=1.0, cuts=(), **more):
