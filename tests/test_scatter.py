@@ -11,13 +11,14 @@ from hidden import kept
 from test_clamped_noise import ARC, READINGS, TRIALS, columns
 
 from wrod.commands import main
+from wrod.identification.clamped.fit import fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.noise import NoiseModel, _Restricted, estimate
-from wrod.identification.clamped.scatter import only_scatter
+from wrod.identification.clamped.scatter import what_is_left
 from wrod.identification.clamped.selection import _too_little, _weighed_anew
 from wrod.identification.clamped.steps import base_fit
-from wrod.identification.clamped.trace import trace
+from wrod.identification.clamped.trace import KNOTS, ProbedProfile, trace
 from wrod.identification.effect import Model, effects
 
 
@@ -28,7 +29,7 @@ def laboratory(case: str, seed: int, noise: str = "white") -> Laboratory:
 
 
 def scatter_of(lab: Laboratory, model=None, values=()):
-    return only_scatter(lab, model or Model(), np.array(values), lab.measurements.test)
+    return what_is_left(lab, model or Model(), np.array(values), lab.measurements.test)[0]
 
 
 def test_poses_that_are_off_in_each_trial_are_named_with_their_size():
@@ -62,8 +63,34 @@ def test_an_identification_ends_with_it(tmp_path):
 
 def test_a_rod_that_changes_does_not_pass_for_it():
     """A stiffness that falls from trial to trial comes nearest: given its poses, what such a rod
-    leaves is near the noise (1.25 in squares), but prints see that it is not."""
-    assert scatter_of(laboratory("warming", 101)) is None
+    leaves beside its mean stiffness is near the noise, but its numbers follow one another."""
+    lab = laboratory("warming", 101)
+    assert scatter_of(lab) is None
+    effect = effects()["stiffness"]
+    fit = fit_models(lab, [Model((effect,))], [np.zeros(1)])[0]
+    scatter, changing = what_is_left(lab, fit.model, fit.values, lab.measurements.test)
+    assert scatter is None
+    assert (
+        "bending stiffness is another one in the last trials than in the first, by -0" in changing
+    )
+
+
+def test_what_each_trial_has_of_its_own_in_no_order_is_a_print():
+    """Readings of rods whose stiffness is another one in each trial, to first order."""
+    lab = laboratory("natural_curvature", 101, "pose")
+    rng, before = np.random.default_rng(1), lab.target
+    probe = Model((ProbedProfile("bending", 0.1, relative=True),))
+    seen, rates = lab.jacobian(probe, np.zeros(KNOTS))
+    sizes = 0.3 * rng.normal(size=len(seen))
+    noise = lab.deviation * rng.normal(size=seen.shape)
+    try:
+        lab.target = seen + noise
+        assert not any(p.seen_to_change for p in trace(lab))
+        lab.target = seen + noise + rates.sum(axis=2) * sizes[:, None]
+        most = max(trace(lab), key=lambda p: p.anew)
+        assert most.name == "moment_with_curvature" and "in each trial" in most.seen_to_change
+    finally:
+        lab.target = before
 
 
 def test_it_is_seen_beside_an_effect_and_is_no_excuse_for_a_wrong_one():

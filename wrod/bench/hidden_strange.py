@@ -25,6 +25,18 @@ def warming(rng, rod):
     return Hidden(Experiment(each=each), {})
 
 
+def moody(rng, rod):
+    """The rod is stiffer in some trials than in others, in no order."""
+    spread = _between(rng, 0.1, 0.25)
+    factor = np.exp(spread * rng.normal(size=TRIALS))
+
+    def each(trial, past):
+        own = factor[trial]
+        return {"bending": constant(own, own), "twisting": own, "stretching": own}
+
+    return Hidden(Experiment(each=each), {})
+
+
 def drying(rng, rod):
     """A wet rope: its weight falls from trial to trial."""
     water, pace = _between(rng, 0.4, 0.7), _between(rng, 6.0, 12.0)
@@ -125,8 +137,9 @@ def shelf(rng, rod):
 # For each kind: names that say what it is as far as they can, prints that are near the truth.
 STRANGE: dict[Callable, tuple[tuple[str, ...], tuple[str, ...]]] = {
     warming: (("stiffness",), ("moment_with_curvature",)),
+    moody: (("stiffness",), ("moment_with_curvature",)),
     drying: (("density",), ("force_in_laboratory",)),
-    creep: ((), ("moment_in_material",)),
+    creep: ((), ("moment_in_material", "memory")),
     loose_clamp: (("clamp_rotation",), ("clamp_end",)),
     soft_grip: (("grip_rotation",), ("grip_end",)),
     sliding_markers: (("marker_offset",), ("markers",)),

@@ -106,6 +106,7 @@ class IdentificationReport(Report):
                 if b.negative or b.found > 1 or b.start == "saddle"
             ],
             "scatter": s.scatter.to_dict() if s.scatter else [],
+            "changing": s.changing,
             "unseen_trials": {"chi_squared_taken": s.unseen[0], "stderr": s.unseen[1]},
             "parameters_at_a_bound": list(s.at_bound),
             "prints": [p.to_dict() for p in self.prints],
@@ -186,8 +187,8 @@ def identify_clamped(
 def _reason(selection: Selection, prints: Sequence[Print]) -> str:
     """The evidence, and where something is left, whether it came or went meanwhile."""
     changes = prints[0].changes
-    named = selection.verdict in ("explained", "adequate")
-    return selection.reason if named or not changes else f"{selection.reason}; {changes}"
+    said = selection.changing or selection.verdict in ("explained", "adequate")
+    return selection.reason if said or not changes else f"{selection.reason}; {changes}"
 
 
 def _found_rod(m: ClampedMeasurements, laboratory: Laboratory, fit: Fit) -> FoundRod:

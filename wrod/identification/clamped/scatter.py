@@ -16,7 +16,7 @@ import numpy as np
 
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import SCATTER, NoiseModel, estimate, scatter_errors
-from wrod.identification.clamped.trace import SEEN, trace
+from wrod.identification.clamped.trace import MEMORY, trace
 from wrod.identification.effect import Estimate, Model
 from wrod.identification.verdict import CLAMPED
 
@@ -53,29 +53,36 @@ class Scatter:
         ]
 
 
-def only_scatter(
+def what_is_left(
     laboratory: Laboratory, model: Model, values: np.ndarray, trials: np.ndarray
-) -> Scatter | None:
-    """The scatter that is all that a model leaves in `trials`; None where it is not.
+) -> tuple[Scatter | None, str]:
+    """(the scatter that is all that a model leaves in `trials`, None where it is not; what changes
+    while it is measured, a phrase, empty where nothing does).
 
-    It is estimated from the train trials.
+    Noise is estimated from the train trials, prints from them and `trials`. What changes is asked
+    where no more than noise and scatter seem to be left: given six numbers for each end and trial
+    a rod that changes passes for clamps that turn, but its numbers follow one another.
     """
     before = laboratory.noise, laboratory.scatter_rates
     noise, rates = estimate(laboratory, model, values)
-    # What is not said by poses and cameras alone, large noise along the rod say, is a misfit.
-    if not any(noise.scatter) or not CLAMPED.is_noise(noise.size, 1.0):
-        return None
-    if any(s > _PLAY[unit] for s, unit in zip(noise.scatter, SCATTER.values(), strict=True)):
-        return None
     try:
         laboratory.set_noise(noise, rates)
         squares = laboratory.misfit(model, values, trials).sum() / laboratory.read[trials].sum()
         if not CLAMPED.is_noise(np.sqrt(squares), 1.0):
-            return None
-        if (trace(laboratory, model, values)[0].evidence or 0.0) > SEEN:
-            return None
+            return None, ""
+        both = np.union1d(laboratory.measurements.train, trials)
+        prints = trace(laboratory, model, values, both)
     finally:
         laboratory.set_noise(*before)
+    changing = sorted((p for p in prints if p.seen_to_change), key=lambda p: -max(p.change, p.anew))
+    if changing:
+        kept = [p for p in changing[1:] if p.name == MEMORY]
+        return None, "; ".join(p.seen_to_change for p in changing[:1] + kept)
+    # What is not said by poses and cameras alone, large noise along the rod say, is a misfit.
+    if not any(noise.scatter) or not CLAMPED.is_noise(noise.size, 1.0) or prints[0].seen:
+        return None, ""
+    if any(s > _PLAY[unit] for s, unit in zip(noise.scatter, SCATTER.values(), strict=True)):
+        return None, ""
     errors = scatter_errors(laboratory, model, values, noise)
     sizes = {}
     for (name, unit), size, error in zip(SCATTER.items(), noise.scatter, errors, strict=True):
@@ -83,4 +90,4 @@ def only_scatter(
             shown = 1e3 if unit == "m" else 180.0 / np.pi
             of = "mm" if unit == "m" else "deg"
             sizes[name] = Estimate(float(shown * size), float(shown * error), of)
-    return Scatter(noise, sizes, float(np.sqrt(squares)))
+    return Scatter(noise, sizes, float(np.sqrt(squares))), ""

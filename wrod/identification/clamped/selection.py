@@ -29,7 +29,7 @@ from wrod.identification.clamped.moment_law import MomentLaw, moment_law_of
 from wrod.identification.clamped.noise import estimate
 from wrod.identification.clamped.profiles import ProfileEffect, built_effects
 from wrod.identification.clamped.refinement import EVIDENCE, profile_of, refined, with_profile
-from wrod.identification.clamped.scatter import only_scatter
+from wrod.identification.clamped.scatter import what_is_left
 from wrod.identification.clamped.steps import (
     FLUCTUATION,
     base_fit,
@@ -237,8 +237,9 @@ def _at_noise(laboratory: Laboratory, fit: Fit) -> bool:
         rms = laboratory.rms(laboratory.predict(*found), m.train)
         if rms <= at_noise_of(laboratory) * m.noise_floor:
             return True
-        # Of the many numbers of a profile some would be a print's.
-        return not has_profile(fit.model) and bool(only_scatter(laboratory, *found, m.train))
+        # Of the many numbers of a profile some would be a print's. An effect is the same in every
+        # trial: it takes nothing of what changes.
+        return not has_profile(fit.model) and any(what_is_left(laboratory, *found, m.train))
     except DataError:  # a trial that is not fitted has no equilibrium with it
         return False
 

@@ -21,6 +21,9 @@ _AMPLITUDES = np.logspace(-4, 3, 43)
 # Evidence of a print from which it is one [nats]; twice that is what an effect lowers the
 # information criterion by to join.
 SEEN = 5.0
+# What a rod keeps of the bend that the trial before gave it, and how large that may be.
+MEMORY = "memory"
+_MEMORY, _KEPT = "share that the rod keeps of the curvature of the trial before", 0.2
 # Squares beyond noise's, in standard deviations of those, that are an excess.
 _EXCESS = 3.0
 
@@ -41,6 +44,9 @@ class Print:
         value, stderr: (K, components) or (components,).
         drift: size of the print in the first trial and in the last, in the order in which they were
             taken (1 in their mean), and the standard error of the difference.
+        change: log evidence that such a print comes or goes in that order, whatever its mean is
+            [nats]; by: how much from the first trial to the last, as `value`.
+        anew: log evidence that it is another one in each trial, in no order [nats].
     """
 
     name: str
@@ -54,6 +60,9 @@ class Print:
     value: np.ndarray
     stderr: np.ndarray
     drift: tuple[float, float, float] = (1.0, 1.0, 0.0)
+    change: float = 0.0
+    by: np.ndarray | None = None
+    anew: float = 0.0
 
     @property
     def seen(self) -> bool:
@@ -71,6 +80,23 @@ class Print:
             "order of the trials: something changes while it is measured"
         )
 
+    @property
+    def seen_to_change(self) -> str:
+        """A phrase for people where the data say that the print is no effect, which is the same in
+        every trial; empty where they do not."""
+        if self.name == MEMORY and self.seen:
+            return f"{self.title}: {self.value[0]:.2f} ± {self.stderr[0]:.2f}"
+        if self.by is None or max(self.change, self.anew) <= SEEN:
+            return ""
+        if self.anew > self.change:
+            return f"{self.title} is another one in each trial"
+        said = f"{self.title} is another one in the last trials than in the first"
+        if self.arc_length is not None:
+            size = self.by.mean(axis=0)
+            size = size[0] if len(size) == 1 else np.linalg.norm(size)
+            said += f", by {size:.2g} {self.unit}".rstrip()
+        return said
+
     def to_dict(self) -> dict:
         """As `report.json` has it."""
         return {
@@ -87,6 +113,8 @@ class Print:
             "first_trial": self.drift[0],
             "last_trial": self.drift[1],
             "stderr_of_change": self.drift[2],
+            "log_evidence_of_change": self.change,
+            "log_evidence_of_change_anew": self.anew,
         }
 
 
@@ -132,9 +160,12 @@ class _Force(ProbedProfile):
 
 
 def trace(
-    laboratory: Laboratory, model: Model | None = None, values: np.ndarray | None = None
+    laboratory: Laboratory,
+    model: Model | None = None,
+    values: np.ndarray | None = None,
+    trials: np.ndarray | None = None,
 ) -> list[Print]:
-    """Every print of what a model leaves of the train trials, the most telling first.
+    """Every print of what a model leaves of trials (default: those to fit), the likeliest first.
 
     Args:
         model, values: by default the base model. What its own parameters could still take is no
@@ -142,14 +173,21 @@ def trace(
     """
     m = laboratory.measurements
     beside, values = model or Model(), np.zeros(0) if values is None else values
-    trials = m.train
+    trials = m.train if trials is None else trials
     residual = laboratory.target[trials] - laboratory.observe(beside, values, trials=trials)
     residual = laboratory.whiten(residual, trials).ravel()
     solver, _ = laboratory.solver_at(beside, values)
+    own = np.zeros((residual.size, 0))
     if len(values):
         _, rates = laboratory.jacobian(beside, values)
         own = np.linalg.qr(laboratory.whiten(rates[trials], trials).reshape(-1, len(values)))[0]
         residual = residual - own @ (own.T @ residual)
+
+    def free(rates):
+        """Columns of readings as independent numbers, without what the model itself could take."""
+        columns = laboratory.whiten(rates, trials).reshape(len(residual), -1)
+        return columns - own @ (own.T @ columns)
+
     prints = []
     directors, tangents = solver.batch.material_directors(), solver.batch.state.tangent.numpy()
     frames = node_frames(directors[:, :, 0], tangents)[:, 1:-1]
@@ -158,21 +196,49 @@ def trace(
         together = Model((*beside.effects, *probe.effects))
         _, rates = laboratory.jacobian(together, np.append(values, np.zeros(len(scale))))
         rates = rates[trials][..., len(values) :] * scale
-        jacobian = laboratory.whiten(rates, trials).reshape(-1, len(scale))
-        if len(values):
-            jacobian = jacobian - own @ (own.T @ jacobian)
+        jacobian = free(rates)
         profile = isinstance(probe.effects[0], ProbedProfile)
         prior = smooth_prior(len(components)) if profile else np.eye(len(scale))
         evidence, _, share, value, stderr = infer(jacobian, residual, prior)
         drift = _drift(trials, jacobian @ value, residual)
-        value, stderr = value * scale, stderr * scale
+        change, _, _, by, _ = infer(free(rates * _order(trials)[:, None, None]), residual, prior)
+        anew = infer(free(_apart(rates)), residual, np.kron(np.eye(len(trials)), prior))[0]
+        value, stderr, by = value * scale, stderr * scale, by * scale
         arc_length = None
         if profile:
             arc_length = np.linspace(0.0, m.material.length, KNOTS)
-            value, stderr = (a.reshape(KNOTS, -1) for a in (value, stderr))
+            value, stderr, by = (a.reshape(KNOTS, -1) for a in (value, stderr, by))
         said = (name, title, unit, points_to, evidence, share, arc_length, components)
-        prints.append(Print(*said, value, stderr, drift))
+        prints.append(Print(*said, value, stderr, drift, change, by, anew * profile))
+        if name == "moment_in_material":
+            kept = _KEPT * _bent_before(frames, m)[trials]
+            evidence, _, share, value, stderr = infer(free(rates @ kept), residual, np.eye(1))
+            own_said = (MEMORY, _MEMORY, "", (), evidence, share, None, ("share",))
+            prints.append(Print(*own_said, _KEPT * value, _KEPT * stderr))
     return sorted(prints, key=lambda p: -p.evidence)
+
+
+def _bent_before(frames: np.ndarray, m) -> np.ndarray:
+    """(T, 2 KNOTS, 1) curvature along (m1, m2) at the knots in the trial before each; none before
+    the first. `frames` as in `_plans`."""
+    turning = np.gradient(frames[..., 2], m.material.length / (frames.shape[1] - 1), axis=1)
+    curvature = np.einsum("tni,tnij->tnj", turning, frames[..., :2])
+    at_knots = np.linalg.pinv(hats(np.linspace(0.0, 1.0, frames.shape[1]))) @ curvature
+    at_knots = at_knots.reshape(len(frames), -1, 1)
+    return np.concatenate([np.zeros_like(at_knots[:1]), at_knots[:-1]])
+
+
+def _apart(rates: np.ndarray) -> np.ndarray:
+    """(t, R, t * P) rates of readings where each trial has numbers of its own."""
+    count, readings, width = rates.shape
+    apart = np.zeros((count, readings, count, width))
+    apart[np.arange(count), :, np.arange(count)] = rates
+    return apart.reshape(count, readings, -1)
+
+
+def _order(trials) -> np.ndarray:
+    """(t,) place of trials in the order in which they were taken, -0.5 to 0.5."""
+    return np.linspace(-0.5, 0.5, int(np.ptp(trials)) + 1)[trials - trials.min()]
 
 
 def _drift(trials, predicted, residual) -> tuple[float, float, float]:
@@ -183,7 +249,7 @@ def _drift(trials, predicted, residual) -> tuple[float, float, float]:
     if len(trials) < 4 or not (weight > 0.0).all():
         return 1.0, 1.0, 0.0
     size = (predicted * residual).sum(axis=1) / weight
-    place = np.linspace(-0.5, 0.5, int(np.ptp(trials)) + 1)[trials - trials.min()]
+    place = _order(trials)
     middle = weight @ place / weight.sum()
     spread = weight @ (place - middle) ** 2
     slope = weight @ ((place - middle) * size) / spread

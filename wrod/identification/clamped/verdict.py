@@ -8,7 +8,7 @@ import numpy as np
 from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.scatter import Scatter, only_scatter
+from wrod.identification.clamped.scatter import Scatter, what_is_left
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Effect, Model
 from wrod.identification.verdict import CLAMPED, CORRELATED
@@ -54,6 +54,7 @@ class Selection:
         at_bound: parameters of the model that ended at a bound.
         out_of_time: whether not all was tried.
         scatter: what else is off anew in each trial, where that is all that is left.
+        changing: what changes while it is measured, a phrase; empty where nothing is seen to.
         doubts: by place in the model, one with a profile about the effect there: what else it may
             be.
     """
@@ -70,6 +71,7 @@ class Selection:
     confounded: list[dict] = field(default_factory=list)
     out_of_time: bool = False
     scatter: Scatter | None = None
+    changing: str = ""
     doubts: dict[int, Fit] = field(default_factory=dict)
 
 
@@ -100,16 +102,17 @@ def judge(
     unseen = unseen_gain(laboratory, fit, empty)
     proven = bool(fit.model.effects) and is_proven(unseen)
     told, left = (fit, after) if proven else (empty, before)
-    scatter, at_noise = None, left <= at_noise_of(laboratory) * _expected_of(laboratory, told)
-    if not at_noise:
-        scatter = only_scatter(laboratory, told.model, told.values, m.test)
+    at_noise = left <= at_noise_of(laboratory) * _expected_of(laboratory, told)
+    scatter, changing = what_is_left(laboratory, told.model, told.values, m.test)
+    scatter = None if at_noise else scatter
+    settled = not changing and (at_noise or bool(scatter))
     if proven:
         verdict, reason = _word_of_effects(
-            CLAMPED.share(before, after, 1.0), before, after, at_noise or bool(scatter),
+            CLAMPED.share(before, after, 1.0), before, after, settled,
             fit.model.at_bound(fit.values),
         )  # fmt: skip
-    elif at_noise or scatter:
-        verdict = "adequate" if at_noise else "explained"
+    elif settled or (changing and not fit.model.effects):
+        verdict = "unexplained" if changing else "adequate" if at_noise else "explained"
         reason = f"the base model's test error is {before:.2f} times the noise floor"
     elif fit.model.effects:
         verdict = "unexplained"
@@ -121,6 +124,8 @@ def judge(
         verdict, reason = _word_of_effects(0.0, before, before, False, ())
     if scatter:
         reason += f", {scatter.ratio:.2f} times what is to be expected where {scatter}"
+    if changing:
+        reason += f"; something changes while it is measured: {changing}"
     if verdict == "explained" and told.model.effects and (doubt := _doubt(fit, m)):
         verdict, reason = "partly-explained", f"{reason}, but {doubt}"
     if not scatter and verdict != "explained" and laboratory.noise.described():
@@ -137,6 +142,7 @@ def judge(
         unseen,
         fit.model.at_bound(fit.values),
         scatter=scatter,
+        changing=changing,
     )
     if named.model.effects:
         selection.doubts = {place: rich.spread() for place, rich in (doubts or {}).items()}
