@@ -29,6 +29,7 @@ from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 from wrod.machine import machine_line
 from wrod.options import gathered, option, own_options
+from wrod.planning.hold import held_near
 from wrod.telling import json_option, tell
 
 ENGINES = ("wrod", "mujoco")
@@ -85,6 +86,10 @@ def command(
         default="wrod",
     ),
     chain_step: float = option("Time step of the mujoco engine [s].", default=0.004),
+    left: float | None = option(
+        "Hold rods where so much of them hangs when the pattern is laid [L_gb]; default: at their "
+        "end."
+    ),
     undisturbed: bool = option("Lay the planned rod, placed as planned."),
     disturbed: str | None = option(
         "What alone disturbs the trials: jitter, lgb_error, placement, "
@@ -109,11 +114,13 @@ def command(
     if "mujoco" in played:
         require_mujoco()
     device = resolve_device(common.device)
-    shelf = Shelf(out / "plans", common.patterns, device)
+    shelf = Shelf(out / "plans", common.patterns, device, left)
     mus = parse_list(frictions, "--frictions", 0.01, 10.0)
     settings = {**common.settings, "patterns": common.source, "disturbed": by, "rows": _ROWS}
     if "mujoco" in played:
         settings["chain_step"] = chain_step
+    if left is not None:
+        settings["left"] = left
     how = {**common.how(), "disturbed": by, "chain_step": chain_step}
     shelf.refuse(product(rods.split(","), names.split(",")), common)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery", row_schemas.SlipperyRow)
@@ -183,10 +190,12 @@ class Shelf:
     folder: Path
     patterns: Path | None
     device: str
+    left: float | None = None
 
     def course(self, rod_name: str, name: str):
-        """The pattern as `plan` lays it, and the rod."""
-        return _led(rod_name, name, self.patterns)
+        """The pattern as `plan` lays it, and the rod as it is held."""
+        led, material = _led(rod_name, name, self.patterns)
+        return led, material if self.left is None else held_near(led, material, self.left)
 
     def refuse(self, places: Iterable[tuple[str, str]], common: campaign.Common) -> None:
         """Refuse (rod, pattern) that are none, or cannot be laid so, before anything is written."""

@@ -25,6 +25,10 @@ class _Asked:
     known_table: bool = option(
         "Plan OPT for the friction of each substrate; plans are kept in OUT/plans."
     )
+    left: float | None = option(
+        "Hold OPT's rods where so much of them hangs when the pattern is laid [L_gb]; default: at "
+        "their end, as the paper does."
+    )
     workers: int = option("Known table: processes that plan side by side.", default=1)
     rods: tuple[str, ...] = option(
         "Only this rod; may be given again.", "--rod", type=click.Choice(RODS)
@@ -59,6 +63,7 @@ class _Asked:
         """What has to be the same for trials to stand in one table."""
         closure = "favoured" if self.closure is None else self.closure
         settings = common.settings | {"closure": closure, "patterns": common.source}
+        settings |= {} if self.left is None else {"left": self.left}
         return settings | ({"known_table": True} if self.known_table else {})
 
 
@@ -94,7 +99,7 @@ def command(asked: _Asked, common: campaign.Common) -> None:
     start = time.perf_counter()
     compile_steps(device)
     compiled = time.perf_counter() - start
-    plans = _plans(rods, curves, asked.closure, device)
+    plans = _plans(rods, curves, asked.closure, asked.left, device)
     if asked.known_table:
         plans |= _corrected_plans(
             plans, substrates, out / "plans", common.speed, device, asked.workers
@@ -161,10 +166,11 @@ def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str]
     ]
 
 
-def _plans(rods, curves: dict, closure: str | None, device: str) -> dict:
+def _plans(rods, curves: dict, closure: str | None, left: float | None, device: str) -> dict:
     """(rod, pattern, method) -> pattern with remainder, rod, trajectory, tail; OPT is a default
     plan, or the rod solver's with a closure that was asked for."""
     from wrod.deployment.plan import plan
+    from wrod.planning.hold import held_near
     from wrod.planning.remainder import prepare
     from wrod.planning.tail import tail
     from wrod.rods.catalogue import rod
@@ -175,6 +181,8 @@ def _plans(rods, curves: dict, closure: str | None, device: str) -> dict:
         material = rod(name)
         led = prepare(curves[curve], material, None)
         optimal = method == "numeric"
+        if optimal and left is not None:
+            material = held_near(led, material, left)
         how = "auto" if optimal and closure is None else method
         chosen = closure if optimal else None
         trajectory = plan(led, material, how, closure=chosen, device=device)

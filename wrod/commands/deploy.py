@@ -44,7 +44,7 @@ def command(
     Friction(laying.friction, laying.kinetic, laying.rolling)  # refused before it is planned
     file = laying.fixtures_file
     fixtures = None if file is None else Fixtures.load(file)
-    path, curve = planned.path(curve, rod, device)
+    path, curve, rod = planned.path(curve, rod, device)
     laying.settle(path, device)
     deployments = laying.lay(curve, rod, path, fixtures, device, planned.another_rod)
     written = _write(out, laying, deployments, path, curve, rod, fixtures)

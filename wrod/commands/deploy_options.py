@@ -34,23 +34,25 @@ class Planned:
             refuse_idle_options("--method intuitive", "closure")
 
     def path(self, curve, rod, device: str):
-        """The trajectory, read or made, and the pattern with its remainder."""
+        """The trajectory, read or made, the pattern with its remainder, and the rod as the grip
+        holds it."""
         from wrod.deployment.bounds import refuse_another_pattern, refuse_another_rod
         from wrod.deployment.plan import plan
         from wrod.deployment.simulate import with_remainder_of
+        from wrod.planning.hold import as_held
         from wrod.planning.trajectory import Trajectory
 
         if self.trajectory is None:
             chosen = None if device == "auto" else device
             path = plan(curve, rod, self.method, closure=self.closure, device=chosen)
-            return path, with_remainder_of(curve, path)
+            return path, with_remainder_of(curve, path), rod
         path = Trajectory.load(self.trajectory)
-        curve = with_remainder_of(curve, path)
+        curve, rod = with_remainder_of(curve, path), as_held(path, rod)
         refuse_another_pattern(path, curve)
         if not self.another_rod:
             names = ("length", "radius", "gravito_bending_length")
             refuse_another_rod(path, rod, names, ", or --another-rod to lay this one all the same")
-        return path, curve
+        return path, curve, rod
 
 
 # Pace of a plan that was corrected for none [m/s].

@@ -97,18 +97,20 @@ def command(
     from wrod.deployment.bounds import refuse_another_rod
     from wrod.deployment.simulate import with_remainder_of
     from wrod.identification.laid.measurements import load_laid
+    from wrod.planning.hold import as_held
     from wrod.planning.trajectory import Trajectory
     from wrod.rods.model_file import rod_as_json
 
     fit.check()
     path = Trajectory.load(trajectory)
     if fit.iterations > 0:
-        refuse_another_rod(path, rod_options.read(), ("length", "radius"))
+        rod = as_held(path, rod_options.read())
+        refuse_another_rod(path, rod, ("length", "radius"))
     curve = with_remainder_of(reading.read(pattern), path)
     laid = load_laid(list(rods), curve, units=reading.units, noise=noise, released=not fit.holding)
     along, left = 1e3 * laid.residual().mean(axis=0).T
     figures = {
-        "rods": [str(rod) for rod in rods],
+        "rods": [str(name) for name in rods],
         "noise_mm": 1e3 * laid.noise,
         "noise_floor_mm": 1e3 * laid.noise_floor,
         "from_pattern_mm": 1e3 * laid.rms(),
@@ -117,7 +119,7 @@ def command(
     }
     if fit.iterations > 0:
         fit.settle(path)
-        found = fit.run(laid, rod_options.read(), path, device)
+        found = fit.run(laid, rod, path, device)
         figures |= {
             "verdict": found.verdict,
             "reason": found.reason,

@@ -111,6 +111,11 @@ class _GraspRequest:
             else read_range(self.pace, "pace", "0.04 or 0.02:0.08"),
         }
 
+    @property
+    def corrects(self) -> bool:
+        """Whether a plan is corrected for its table."""
+        return self.friction_text is not None and self.method != "intuitive"
+
     def friction(self):
         """Of the table, if one is known."""
         return None if self.friction_text is None else read_friction(self.friction_text)
@@ -199,6 +204,8 @@ def command(
                 said = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
                 raise PatternError(f"{error}; {said}") from None
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
+        if grasps.corrects and wanted.hold is None:
+            fitted = fitted.near(curve)
         count = len(lead_ins(fitted.pattern, fitted.rod)) if remainder is None else 1
         grasps.begin(curve, fitted.rod, friction, chosen, count)
         turned = how["spin"] if spin is None else math.radians(spin)
@@ -206,6 +213,7 @@ def command(
             fitted.pattern, fitted.rod, roll=read_roll(grasps.roll_text, fitted.rod),
             device=chosen, friction=friction, **{**how, "remainder": remainder, "spin": turned},
         )  # fmt: skip
+        trajectory.metadata["beyond_grip"] = fitted.figures.get("beyond_grip", 0.0)
         return fitted, with_remainder_of(fitted.pattern, trajectory), trajectory
 
     how["pace"] = within_speed(request, how["pace"], lambda: planned(shaping))
@@ -220,7 +228,8 @@ def command(
                 save_trajectory(out, trajectory)
 
         def softer(how):
-            start = planned(shaping, led=curve.remainder_length or False)[2]
+            as_now = replace(shaping, hold=fitted.rod.length)
+            start = planned(as_now, led=curve.remainder_length or False)[2]
             return softened(curve, fitted.rod, trajectory, start, how, friction, chosen)
 
         if not request.no_robot:

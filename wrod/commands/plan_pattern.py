@@ -23,7 +23,8 @@ class Shaping:
     resize: float | None = option("Draw the pattern this many times as large.")
     tolerance: float = option("How far rounded corners may leave the pattern [m].", default=0.01)
     hold: float | None = option(
-        "Grip the rod at this length from its free end instead of at its other end [m]."
+        "Grip the rod at this length from its free end [m]; default: at its other end, with "
+        "--friction where 4 L_gb are left to hang when the pattern is laid."
     )
     reverse: bool = option("Lay the pattern from its other end.", left_out=False)
 
@@ -36,6 +37,21 @@ class Prepared:
     rod: "RodModel | RodMaterial"
     notes: tuple[str, ...]
     figures: dict
+
+    def near(self, curve: "Pattern") -> "Prepared":
+        """The same with the rod held as near as the curve with its remainder allows."""
+        from wrod.planning.hold import held_near
+
+        rod, whole = held_near(curve, self.rod), self.rod.length
+        if rod is self.rod:
+            return self
+        note = (
+            f"held at {rod.length:.3f} m from the free end (at its other end: --hold {whole:g}), so "
+            f"that less hangs and is stretched by what nobody knows; {whole - rod.length:.3f} m "
+            "hang beyond the grip: keep them off what lies, or cut them off"
+        )
+        figures = {**self.figures, "beyond_grip": whole - rod.length}
+        return replace(self, rod=rod, notes=(*self.notes, note), figures=figures)
 
 
 def fit(curve, rod, shaping: Shaping) -> Prepared:
@@ -60,6 +76,7 @@ def fit(curve, rod, shaping: Shaping) -> Prepared:
                 f"--hold is {hold:g} m, and the rod is {rod.length:g} m long; hold it on the rod"
             )
         notes.append(f"held at {hold:g} m; {rod.length - hold:.3f} m hang beyond the grip")
+        figures["beyond_grip"] = rod.length - hold
         rod = replace(rod, length=hold)
     if resize is not None:
         curve = curve.scaled(resize)

@@ -315,5 +315,6 @@ class TrajectoryMetadata(_Open, frozen=True):
     remainder_length: Annotated[float, Meta(ge=0.0, le=1e6, description="[m]")] = 0.0
     roll: Annotated[float, Meta(ge=-1e6, le=1e6, description="[rad]")] = 0.0
     spin: Annotated[float, Meta(ge=-1e6, le=1e6, description="[rad]")] = 0.0
+    beyond_grip: Annotated[float, Meta(ge=0.0, le=1e6, description="[m]")] = 0.0
     rod: dict[str, Any] | None = None
     warnings: Annotated[list[str], Meta(max_length=1000)] = []
