@@ -35,7 +35,8 @@ def laid(pattern, path, columns, remembered=None, friction=0.3):
     if columns is not None:
         directions += Directions.of_path(columns[:, : len(path)])
     mesh = replace(COARSE, step=0.02, tolerance=1e-6, laid=pattern.length)
-    how = {"discretisation": mesh, "speed": PACE, "remembered": remembered}
+    known = None if remembered is None else [remembered]
+    how = {"discretisation": mesh, "speed": PACE, "remembered": known}
     (lies,) = lay([trial], [directions], **how)
     return lies
 

@@ -87,8 +87,7 @@ def command(
     ),
     chain_step: float = option("Time step of the mujoco engine [s].", default=0.004),
     left: float | None = option(
-        "Hold rods where so much of them hangs when the pattern is laid [L_gb]; default: at their "
-        "end."
+        "What hangs when the pattern is laid [L_gb]; default: all, held at the rod's end."
     ),
     undisturbed: bool = option("Lay the planned rod, placed as planned."),
     disturbed: str | None = option(
@@ -117,10 +116,8 @@ def command(
     shelf = Shelf(out / "plans", common.patterns, device, left)
     mus = parse_list(frictions, "--frictions", 0.01, 10.0)
     settings = {**common.settings, "patterns": common.source, "disturbed": by, "rows": _ROWS}
-    if "mujoco" in played:
-        settings["chain_step"] = chain_step
-    if left is not None:
-        settings["left"] = left
+    settings |= {"chain_step": chain_step} if "mujoco" in played else {}
+    settings |= {} if left is None else {"left": left}
     how = {**common.how(), "disturbed": by, "chain_step": chain_step}
     shelf.refuse(product(rods.split(","), names.split(",")), common)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery", row_schemas.SlipperyRow)

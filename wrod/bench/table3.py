@@ -26,8 +26,7 @@ class _Asked:
         "Plan OPT for the friction of each substrate; plans are kept in OUT/plans."
     )
     left: float | None = option(
-        "Hold OPT's rods where so much of them hangs when the pattern is laid [L_gb]; default: at "
-        "their end, as the paper does."
+        "Of OPT's rods hangs so much when the pattern is laid [L_gb]; default: all, as the paper's."
     )
     workers: int = option("Known table: processes that plan side by side.", default=1)
     rods: tuple[str, ...] = option(

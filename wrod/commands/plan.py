@@ -183,8 +183,7 @@ def command(
     how, chosen = grasps.read(), None if device == "auto" else device
     request = request.check()
     draw_beside(not request.no_robot)
-    rod, drawn = rod_options.read(), reading.read(pattern)
-    friction = grasps.friction()
+    rod, drawn, friction = rod_options.read(), reading.read(pattern), grasps.friction()
     # What takes a second to import, once nothing is left to refuse.
     from wrod.deployment.simulate import with_remainder_of
     from wrod.planning.remainder import lead_ins, prepare
@@ -204,22 +203,19 @@ def command(
                 said = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
                 raise PatternError(f"{error}; {said}") from None
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
-        if grasps.corrects and wanted.hold is None:
-            fitted = fitted.near(curve)
+        fitted = fitted.near(curve) if grasps.corrects and wanted.hold is None else fitted
         count = len(lead_ins(fitted.pattern, fitted.rod)) if remainder is None else 1
         grasps.begin(curve, fitted.rod, friction, chosen, count)
         turned = how["spin"] if spin is None else math.radians(spin)
         trajectory = solve_grasps_of(
-            fitted.pattern, fitted.rod, roll=read_roll(grasps.roll_text, fitted.rod),
+            fitted, roll=read_roll(grasps.roll_text, fitted.rod),
             device=chosen, friction=friction, **{**how, "remainder": remainder, "spin": turned},
         )  # fmt: skip
-        trajectory.metadata["beyond_grip"] = fitted.figures.get("beyond_grip", 0.0)
         return fitted, with_remainder_of(fitted.pattern, trajectory), trajectory
 
     how["pace"] = within_speed(request, how["pace"], lambda: planned(shaping))
     fitted, curve, trajectory = planned(shaping, friction)
-    joint_path, reason = None, None
-    beside = not request.no_robot
+    joint_path, reason, beside = None, None, not request.no_robot
     with grasps.expecting(curve, fitted.rod, trajectory, friction, chosen, beside) as wait:
         written = save_plan(out, curve, trajectory)
 
@@ -228,11 +224,11 @@ def command(
                 save_trajectory(out, trajectory)
 
         def softer(how):
-            as_now = replace(shaping, hold=fitted.rod.length)
-            start = planned(as_now, led=curve.remainder_length or False)[2]
+            held = replace(shaping, hold=fitted.rod.length)
+            start = planned(held, led=curve.remainder_length or False)[2]
             return softened(curve, fitted.rod, trajectory, start, how, friction, chosen)
 
-        if not request.no_robot:
+        if beside:
             corrected = (trajectory.optimised or {}).get("kept", False)
             joint_path, reason, more, followed = arm_steps(
                 request, out, trajectory, curve, fitted.rod, planned, shaping, expected,

@@ -46,8 +46,8 @@ class Prepared:
         if rod is self.rod:
             return self
         note = (
-            f"held at {rod.length:.3f} m from the free end (at its other end: --hold {whole:g}), so "
-            f"that less hangs and is stretched by what nobody knows; {whole - rod.length:.3f} m "
+            f"held at {rod.length:.3f} m from the free end, so that less hangs and is stretched by "
+            f"what nobody knows (at its other end: --hold {whole:g}); {whole - rod.length:.3f} m "
             "hang beyond the grip: keep them off what lies, or cut them off"
         )
         figures = {**self.figures, "beyond_grip": whole - rod.length}

@@ -14,9 +14,9 @@ _SHARE = 0.5
 
 
 def solve_grasps_of(
-    curve, rod, *, method: str, device, shapes: bool, friction=None, pace=None, **options
+    fitted, *, method: str, device, shapes: bool, friction=None, pace=None, **options
 ):
-    """The trajectory, with the rod's shapes where they are wanted."""
+    """The trajectory of what is `Prepared`, with the rod's shapes where they are wanted."""
     from wrod.deployment.plan import plan
     from wrod.deployment.simulate import with_remainder_of
     from wrod.planning.shapes import with_shapes
@@ -24,14 +24,15 @@ def solve_grasps_of(
     with cost.progress_bar(unit="grasp", delay=1.0, desc="grasps") as bar:
         progress = cost.counting(bar)
         trajectory = plan(
-            curve, rod, method, device=device, progress=progress,
+            fitted.pattern, fitted.rod, method, device=device, progress=progress,
             friction=None if method == "intuitive" else friction,
             pace=None if friction is None else pace, **options,
         )  # fmt: skip
         if shapes:
             bar.n = 0
-            curve = with_remainder_of(curve, trajectory)
+            curve = with_remainder_of(fitted.pattern, trajectory)
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
+    trajectory.metadata["beyond_grip"] = fitted.figures.get("beyond_grip", 0.0)
     return trajectory
 
 

@@ -205,7 +205,7 @@ class Beliefs:
         how = {"friction_field": self._field(self.about), "speed": PACE, **options}
         trial = self.trial(path, placed, self.about)
         asked = [trial], [directions], how | {"discretisation": mesh}
-        (laid,) = yield Asked(*asked, self.remembered)
+        (laid,) = yield Asked(*asked, [self.remembered])
         start = self.pattern.sample(-self.pattern.remainder_length)[0][0]
         around = laid.centerline - start - [*trial.disturbance.offset, 0.0]
         moved = np.zeros((3, *around.shape))

@@ -22,6 +22,7 @@ from wrod.deployment.expectation import (
     edged,
     misplacement,
 )
+from wrod.deployment.remembered import Remembered
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.simulate import Trial, nodes_needed
 from wrod.deployment.spread import Spread
@@ -63,6 +64,9 @@ _DONE = 0.95
 # it, which says nothing of later ones. Corrections may be large, and cost this part of what they
 # cost otherwise.
 _FAR, _STRETCH, _FADE, _EACH, _BEYOND, _CHEAP = 0.2, 3.0, 0.5, 4, 2.0, 0.1
+# Corrections that begin so much before what counted last stay as they are meanwhile [L_gb]: what is
+# laid before them is not laid again.
+_BEHIND = 4.0
 
 
 @dataclass(frozen=True)
@@ -164,25 +168,40 @@ class Problem:
         self.spread, self.samples = spread, samples
         self.cost = corrections.cost(_SIZE, _ROUGHNESS)
         self.count = 0
+        self.remembered = [Remembered() for _ in range(samples)]
 
-    def at(self, values: np.ndarray, end: float = np.inf) -> Course[State]:
-        """What corrections come to on coarse meshes, of the pattern up to `end` [m]."""
-        laid = yield from self.laid(values, end)
+    def at(self, values: np.ndarray, end: float = np.inf, fixed: int = 0) -> Course[State]:
+        """What corrections come to on coarse meshes, of the pattern up to `end` [m]; the first of
+        their values are `fixed`."""
+        laid = yield from self.laid(values, end, fixed)
         self.count += 1
-        return self._state(values, laid, end)
+        return self._state(values, laid, end, fixed)
 
-    def laid(self, values: np.ndarray, end: float = np.inf) -> Course[list[Laid]]:
+    def laid(self, values: np.ndarray, end: float = np.inf, fixed: int = 0) -> Course[list[Laid]]:
         """What the sample lays by corrections, with its derivatives by each of their values
-        (3 count,) [L_gb]."""
+        (3 count,) [L_gb] that is not `fixed`."""
         trials = self._sample(values, end)
-        columns = self.corrections.columns()[:, : len(trials[0].trajectory)]
+        columns = self.corrections.columns()[fixed:, : len(trials[0].trajectory)]
         directions = [Directions.of_path(columns)] * self.samples
         mesh = edged(COARSE, COARSE_EDGE * self.corrections.lgb)
-        return (yield self._meshed(trials, directions, mesh))
+        if not np.isfinite(end):
+            return (yield self._meshed(trials, directions, mesh))
+        # One mesh for all that is laid, so that more goes on from less.
+        mesh = replace(mesh, laid=float(self.task.trajectory.arc_length[-1]))
+        asked = self._meshed(trials, directions, mesh)
+        return (yield replace(asked, remembered=self.remembered))
 
-    def _state(self, values: np.ndarray, laid: list[Laid], end: float) -> State:
+    def fixed(self, before: float) -> int:
+        """How many values have a say before so much of the pattern is laid [m]."""
+        first = (self.corrections.basis > 1e-12).argmax(axis=0)
+        laid = self.corrections.trajectory.arc_length[first]
+        before += self.corrections.trajectory.remainder_length
+        return 3 * int(np.sum(laid < before))
+
+    def _state(self, values: np.ndarray, laid: list[Laid], end: float, fixed: int) -> State:
         task, corrections = self.task, self.corrections
         parts = [misplacement(task.pattern, one) for one in laid]
+        parts = [(error, np.pad(rates, ((0, 0), (fixed, 0)))) for error, rates in parts]
         s = np.linspace(0.0, task.pattern.length, METRIC_POINTS)
         counts = np.clip((end - s) / (_FADE * corrections.lgb) + 1.0, 0.0, 1.0)
         errors = np.array(
@@ -212,6 +231,8 @@ class Problem:
             slope += _LIMIT * rates.T @ excess
             value += 0.5 * _LIMIT * float(excess @ excess)
             measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
+        matrix[:fixed], matrix[:, :fixed], slope[:fixed] = 0.0, 0.0, 0.0
+        matrix[range(fixed), range(fixed)] = 1.0
         return State(values, errors, measure, value, matrix, slope)
 
     def judged(self, points: list[np.ndarray]) -> Course[list[Tried]]:
@@ -237,7 +258,7 @@ class Problem:
         return out
 
     def _meshed(self, trials: list[Trial], directions, mesh: Discretisation) -> Asked:
-        needed = max(nodes_needed(trials, mesh.spacing), 0 if self.alone else _TOGETHER)
+        needed = max(nodes_needed(trials, mesh.spacing, mesh.laid), 0 if self.alone else _TOGETHER)
         count = -(-needed // _ALIKE) * _ALIKE
         mesh = replace(mesh, tolerance=_TOLERANCE, node_count=count)
         return Asked(trials, directions, {"discretisation": mesh, "speed": self.task.pace})
@@ -296,21 +317,21 @@ def _bend_by_bend(problem: Problem) -> Course[State]:
     of it, from no corrections on."""
     problem.cost = _CHEAP * problem.cost
     length, values = problem.task.pattern.length, np.zeros(3 * problem.corrections.count)
-    count = int(np.ceil(length / (_STRETCH * problem.corrections.lgb)))
-    for end in [*(length / count * np.arange(1, count)), np.inf]:
-        best, radius = (yield from problem.at(values, end)), _STEP
+    count, fixed = int(np.ceil(length / (_STRETCH * problem.corrections.lgb))), 0
+    for end in length / count * np.arange(1, count + 1):
+        best, radius = (yield from problem.at(values, end, fixed)), _STEP
         for _ in range(_EACH):
             step, damped = best.step(radius)
             near = best.measure < _NEAR * problem.corrections.lgb
             if near or best.saved(step) < 1.0 - _DONE**2:
                 break
-            tried = yield from problem.at(best.values + step, end)
+            tried = yield from problem.at(best.values + step, end, fixed)
             idle = _DONE * best.measure < tried.measure < best.measure
             best, radius = _better(best, tried, step, radius, damped)
             if idle:
                 break
-        values = best.values
-    return best
+        values, fixed = best.values, problem.fixed(end - _BEHIND * problem.corrections.lgb)
+    return best if fixed == 0 else (yield from problem.at(values))
 
 
 def _better(

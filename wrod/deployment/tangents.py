@@ -114,7 +114,7 @@ def lay(
     friction_field: FrictionField | None = None,
     device: str | None = "cpu",
     watch: Watch | None = None,
-    remembered: Remembered | None = None,
+    remembered: Sequence[Remembered] | None = None,
 ) -> list[Laid]:
     """Lay rods until the end of their patterns, with the derivatives of what lies.
 
@@ -133,7 +133,7 @@ def lay(
         hold, speed, discretisation, friction_field, device: see `simulate_deployments`;
             derivatives are those of "euler" and "bdf2".
         watch: called now and then with the (rod,) times [s]; what it raises ends the laying.
-        remembered: of one trial on a CPU: deployments before it, from which it goes on where it
+        remembered: of each trial, on a CPU: deployments before it, from which it goes on where it
             began like one of them; of its directions, those that are not of the path alone tell.
 
     Raises:
@@ -161,10 +161,14 @@ def lay(
         told = None if directions is None else [directions[k] for k in part]
         with launching():
             setups = prepare_trials(given, hold, [released[k] for k in part], speed, mesh)
-            how = device, friction_field, progress, remembered
+            before = None if remembered is None else remembered[part[0]]
+            how = device, friction_field, progress, before
             return _laid(given, setups, told, moved, mesh, *how)
 
-    return shared_out(run, *chunks(len(trials), device))
+    parts, workers = chunks(len(trials), device)
+    if remembered is not None:
+        parts = [[k] for k in range(len(trials))]
+    return shared_out(run, parts, workers)
 
 
 def _laid(

@@ -27,8 +27,8 @@ class Asked:
     Attributes:
         trials: what to lay.
         directions: of each trial, all with the same number of columns; None: no derivatives.
-        remembered: deployments of one trial from which it may go on: where it is laid alone on a
-            CPU it does. A GPU takes as long for one rod as for hundreds.
+        remembered: deployments of each trial from which it may go on: on a CPU it does. A GPU takes
+            as long for one rod as for hundreds.
         how: options of `lay`. Rods whose discretisation has a node count are laid with those that
             have the same alone; of others a batch has the largest that any of them needs.
     """
@@ -36,7 +36,7 @@ class Asked:
     trials: list[Trial]
     directions: list[Directions] | None = None
     how: dict[str, Any] = field(default_factory=dict)
-    remembered: Remembered | None = None
+    remembered: list[Remembered] | None = None
 
 
 Course = Generator[Asked, list[Laid], T]
@@ -111,7 +111,7 @@ def _laid(asked: dict[int, Asked], options: dict[str, Any]) -> dict[int, list[La
             for one, mesh in zip(ones, meshes, strict=True)
         )
         given = {**options, **ones[0].how, "discretisation": replace(meshes[0], node_count=nodes)}
-        if len(trials) == 1 and given["device"] == "cpu":
+        if len(ones) == 1 and given["device"] == "cpu":
             given["remembered"] = ones[0].remembered
         given["release"] = [one.how.get("release") for one in ones for _ in one.trials]
         laid = lay(trials, directions, **given)
