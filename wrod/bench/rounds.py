@@ -87,7 +87,7 @@ def _deployments(count: int, rounds: int, device: str) -> dict:
     from wrod.deployment.discretisation import USUAL
     from wrod.deployment.simulate import prepare_trials
 
-    plans = _plans(RODS, {name: read_pattern(name, None) for name in PATTERNS}, None, device)
+    plans = _plans(RODS, {name: read_pattern(name, None) for name in PATTERNS}, None, None, device)
     keys = product(range(10), RODS, SUBSTRATES, PATTERNS, METHODS)
     keys = [(rod, table, name, method, trial) for trial, rod, table, name, method in keys]
     trials = [_trial(key, plans) for key in islice(cycle(keys), count)]

@@ -162,7 +162,7 @@ def following(
         how_laid = {"friction_field": plant.friction_field, **options, **more}
         mesh = how_laid.get("discretisation", USUAL)
         how_laid["discretisation"] = meshed_to_the_end(mesh, pattern)
-        (laid,) = yield Asked([trial], None, how_laid, gone_on)
+        (laid,) = yield Asked([trial], None, how_laid, [gone_on])
         return laid
 
     def seen(lies: Laid, at: float) -> list[Seen]:

@@ -1,14 +1,11 @@
 """Where along the rod the grip holds it."""
 
 from dataclasses import replace
-from typing import TypeVar
 
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-
-Rod = TypeVar("Rod", RodMaterial, RodModel)
 
 # What hangs when the pattern is laid, and rod beyond the grip with less of which it is held at its
 # end [L_gb].
@@ -17,7 +14,7 @@ LEFT, _WORTH = 4.0, 1.0
 _SAME = 1e-6
 
 
-def held_near(pattern: Pattern, rod: Rod, left: float = LEFT) -> Rod:
+def held_near(pattern: Pattern, rod: RodModel | RodMaterial, left: float = LEFT):
     """The rod as a grip holds it that leaves no more of it hanging than it needs.
 
     What hangs, l long, is stretched by l^2 / (4 k_s L_gb), of which nobody knows much, and by as
@@ -37,7 +34,7 @@ def held_near(pattern: Pattern, rod: Rod, left: float = LEFT) -> Rod:
     return rod if needed > rod.length - _WORTH * lgb else replace(rod, length=needed)
 
 
-def as_held(trajectory: Trajectory, rod: Rod) -> Rod:
+def as_held(trajectory: Trajectory, rod: RodModel | RodMaterial):
     """The rod as a trajectory holds it, where that was planned for this rod held nearer than at its
     end."""
     beyond = trajectory.metadata.get("beyond_grip", 0.0)
