@@ -73,6 +73,8 @@ def test_many_sharp_tips_depart_about_as_little_as_fillets(points, turn, radius)
     assert 0.2 * arc < said.largest <= 1.3 * arc
     s = np.linspace(0.0, rounded.length, 4000)
     assert np.abs(rounded.sample(s)[2]).max() * radius < 1.001
+    ends = rounded.sample([0.0, s[-1]])[0] - pattern.sample([0.0, pattern.length])[0]
+    assert np.linalg.norm(ends, axis=1).max() < 2e-4
 
 
 def test_refusal_never_advises_a_tolerance_that_loses_the_drawing():

@@ -14,7 +14,10 @@ from wrod.patterns.pattern import Pattern
 
 _KNOTS_PER_BEND = 4.0  # knots of the curvature per radius of the tightest bend
 _MOST_KNOTS = 400
-_ITERATIONS = 12
+_ITERATIONS = 40
+# A step that saves less than this part of the cost is the last, or one that saves nothing though it
+# is damped so much.
+_SAVED, _DAMPED = 1e-3, 1e3
 _STAGE = 1.2  # by which the bound comes down at a time
 # Weights of the curvature's changes against distances, tried in this order: even bends are easier
 # to lay and to follow, and cost a few millimetres.
@@ -121,14 +124,15 @@ def _nearest(s, points, heading, first, bound, smoothness):
     second = np.diff(np.eye(size), n=2, axis=0)
     coefficients = _resolved(first, np.linspace(0.0, length, len(s)), length / knots, full)
     # The bound comes down in steps, so that the curve stays near.
-    bounds, best, least = [bound] * _ITERATIONS, None, np.inf
-    while bounds[0] < np.abs(coefficients).max():
-        bounds.insert(0, bounds[0] * _STAGE)
+    limits = [bound]
+    while limits[0] < np.abs(coefficients).max():
+        limits.insert(0, limits[0] * _STAGE)
     start, angle = points[0].copy(), float(heading[0])
     tangents = np.column_stack([np.cos(heading), np.sin(heading)])
     ds = u[1] - u[0]
     index = np.round(np.interp(u * length, first[:, 0], first[:, 2]) / s[1]).astype(int)
-    for iteration, limit in enumerate(bounds):
+    limit, least, damping, best = limits.pop(0), np.inf, 0.0, None
+    for iteration in range(_ITERATIONS):
         turned = np.concatenate([[0.0], np.cumsum(_middle(design @ coefficients)) * ds * length])
         theta = angle + turned
         ahead = np.column_stack([np.cos(theta), np.sin(theta)])
@@ -137,8 +141,7 @@ def _nearest(s, points, heading, first, bound, smoothness):
             index = _partners(place, points, index)
         # Derivatives of place by coefficients, heading, length and start.
         side = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-        by_angle = np.cumsum(_middle(side), axis=0) * ds * length
-        by_angle = np.vstack([[0, 0], by_angle])
+        by_angle = np.vstack([[0, 0], np.cumsum(_middle(side), axis=0) * ds * length])
         turn_by = np.vstack([np.zeros(size), np.cumsum(_middle(design), axis=0) * ds * length])
         jacobian = np.empty((len(u), 2, size + 4))
         for axis in range(2):
@@ -162,26 +165,39 @@ def _nearest(s, points, heading, first, bound, smoothness):
         smooth = smoothness / bound * np.sqrt(len(u) / size) * length
         parts.append(np.hstack([smooth * second, np.zeros((len(second), 4))]))
         wanted.append(-smooth * (second @ coefficients))
-        # Far from the solution a step can lead away from it: the best that keeps the bound counts.
         cost = sum(float(part @ part) for part in wanted)
-        if np.abs(coefficients).max() <= bound and cost < least:
-            least, best = cost, (BSpline(full * length, coefficients, 3), start, angle)
+        # Far from the solution a step can lead away from it: it is taken back and damped.
+        if cost < least:
+            done = cost > (1.0 - _SAVED) * least
+            best, least, damping = (coefficients, angle, length, start, index), cost, 0.2 * damping
+            # The triangle has the rows' normal equations and a tenth of their number.
+            rows = np.column_stack([np.concatenate(parts), np.concatenate(wanted)])
+            triangle = np.linalg.qr(rows, mode="r")
+        else:
+            done = damping > _DAMPED
+            coefficients, angle, length, start, index = best
+            damping = max(10.0 * damping, 1e-3)
+        if limits:
+            limit, least, damping = limits.pop(0), np.inf, 0.0
+        elif done:
+            break
         low = np.concatenate([-limit - coefficients, [-0.3, -0.1 * length, -0.1, -0.1]])
         high = np.concatenate([limit - coefficients, [0.3, 0.1 * length, 0.1, 0.1]])
-        # The triangle has the rows' normal equations and a tenth of their number.
-        rows = np.column_stack([np.concatenate(parts), np.concatenate(wanted)])
-        triangle = np.linalg.qr(rows, mode="r")
-        step = lsq_linear(
-            triangle[:, :-1], triangle[:, -1], (low - 1e-12, high + 1e-12), max_iter=60
-        ).x
+        step = _step(triangle, damping, low - 1e-12, high + 1e-12)
         coefficients = (coefficients + step[:size]).clip(-limit, limit)
         angle, length = angle + step[size], length + step[size + 1]
         start = start + step[size + 2 :]
-        if limit > bound or best is None:
-            continue
-        if np.abs(step[:size]).max() < 1e-3 * bound and np.abs(step[size:]).max() < 1e-5:
-            break
-    return best
+    coefficients, angle, length, start, _ = best
+    return BSpline(full * length, coefficients.clip(-bound, bound), 3), start, angle
+
+
+def _step(triangle, damping, low, high):
+    """The step within bounds that solves the equations of a triangle best, damped by so much of
+    each unknown's own share in them."""
+    own = np.linalg.norm(triangle[:, :-1], axis=0)
+    rows = np.vstack([triangle[:, :-1], np.diag(np.sqrt(damping) * own)])
+    wanted = np.concatenate([triangle[:, -1], np.zeros(len(own))])
+    return lsq_linear(rows, wanted, (low, high), max_iter=60).x
 
 
 def _resolved(first, even, width, full):
