@@ -45,6 +45,25 @@ def test_takes_a_saved_trajectory(arc, tmp_path):
     assert f"wrote {tmp_path / 'o' / 'deployment.npz'}" in result.output
 
 
+def test_a_plan_for_a_table_leaves_little_hanging_and_is_laid_so(tmp_path):
+    """Of the whole rod that is named to both commands; held at its end as asked."""
+    rod = ["--radius", "0.0016", "--lgb", "0.018", "--length", "0.3"]
+    np.savetxt(tmp_path / "line.txt", np.column_stack([np.linspace(0.0, 0.15, 20), np.zeros(20)]))
+    args = [str(tmp_path / "line.txt"), *rod, "--device", "cpu"]
+    how = [*args, "--friction", "0.3", "--method", "distilled", "--no-robot", "--no-expect"]
+    near = told("plan", *how, "--out", str(tmp_path / "near"), "--json")
+    assert near["beyond_grip"] == pytest.approx(0.3 - 0.15 - 4.0 * 0.018, abs=1e-6)
+    assert near["rod"]["length"] == pytest.approx(0.15 + 4.0 * 0.018, abs=1e-6)
+    assert any("0.078 m hang beyond the grip" in note for note in near["notes"])
+    end = told("plan", *how, "--hold", "0.3", "--out", str(tmp_path / "end"), "--json")
+    assert end["beyond_grip"] == 0.0 and end["highest_grip"] > near["highest_grip"] + 0.05
+    path = ["--trajectory", str(tmp_path / "near" / "trajectory.npz")]
+    figures = told("deploy", *args, *path, "--out", str(tmp_path / "laid"), "--json")
+    assert figures["trials"][0]["error_mean"] < 2e-3
+    other = run("deploy", *args[:-3], "0.31", *path, "--out", str(tmp_path / "other"))
+    assert other.exit_code == 2 and "whose length is 0.222 m" in other.output
+
+
 @pytest.mark.parametrize(
     ("extra", "word"),
     [
