@@ -9,7 +9,8 @@ from cli import refused, run
 from vps import SHORT as ROD
 
 import wrod
-from wrod.deployment.beliefs import Beliefs, Beside, doubted, meshed_to_the_end, told_by
+from wrod.deployment.beliefs import Beliefs, meshed_to_the_end, told_by
+from wrod.deployment.beside import Beside, doubted
 from wrod.deployment.expectation import COARSE, FINE, PACE
 from wrod.deployment.feedback import Plant, Sight, lay_with_feedback
 from wrod.deployment.replanning import Moment, _Candidate

@@ -36,6 +36,8 @@ _VARIES = 0.05
 # such a change; then for each by itself, and the largest change between two times.
 _LINEAR, _TOGETHER, _ENOUGH, _MOST_TOGETHER = 0.05, 2, 0.2, 0.3
 _ITERATIONS, _MOST_CHANGE = 8, 1.0
+# Share of the time of a look that may be gone when they are made linear anew.
+_SHARE = 0.4
 # Which of these moves all that lies, and nothing else.
 _PLACE = slice(3, 6)
 # Residual forces that are enough for what is believed, see `lay`: what lies changes by 1 um.
@@ -47,15 +49,6 @@ _ALONG = 400
 # there has told of them before.
 _MODEL_ERROR, _MODEL_ERROR_HANGING = 1e-3, 3e-3
 _MEMORY = 0.12
-# Length before the contact over which what lies is compared with what is believed to, and over
-# which it forgets how far beside that it is [m].
-_NEAR, _STEP = 0.1, 1e-3
-# Standard deviations that how far that is may have though the beliefs are right [m], how likely
-# they are before a look tells (most often the beliefs say it all), and how likely it is that
-# between two looks something comes up that nobody told of.
-_BESIDE = np.array([0.0, 2e-4, 4e-4, 8e-4, 1.6e-3])
-_LIKELY = np.array([0.8, 0.05, 0.05, 0.05, 0.05])
-_NEWS = 0.05
 
 
 @dataclass(frozen=True)
@@ -111,6 +104,8 @@ class Beliefs:
         self.placed = np.zeros(3)
         # For what deployments are laid, and what these have come to on the way.
         self.about, self.remembered = 0.0 * same, Remembered()
+        # Processor time that a look may take, and what deployments had when it began [s].
+        self._patience, self._begun = np.inf, 0.0
 
     @property
     def account(self) -> Account:
@@ -141,11 +136,6 @@ class Beliefs:
         """Of the robot about the pattern's beginning, likewise [rad]."""
         return float(self.mean[5] * _DOUBT[5])
 
-    def _linear(self, mean: np.ndarray) -> bool:
-        """Whether that is so near to what deployments were laid for that what lies answers
-        linearly; to the robot's place it always does."""
-        return bool(np.abs(np.delete(mean - self.about, _PLACE)).max() <= _LINEAR)
-
     def drawn(self, count: int) -> np.ndarray:
         """(2 count, n) of what may be wrong, beside what is believed: in pairs that lie opposite
         each other, and as likely as its covariance has them [deviations]."""
@@ -153,6 +143,14 @@ class Beliefs:
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         half = np.random.default_rng(0).standard_normal((count, len(root))) @ root.T
         return np.concatenate([half, -half])
+
+    def looking(self, patience: float) -> None:
+        """A look begins, which may take so much processor time [s]."""
+        self._patience, self._begun = patience, self.remembered.effort
+
+    def hurried(self, share: float = 1.0) -> bool:
+        """Whether the look has taken such a share of its time; on a GPU it never has."""
+        return self.remembered.effort - self._begun > share * self._patience
 
     def know(self, friction: float, how: Disturbance, field: FrictionField | None) -> None:
         """Believe the truth."""
@@ -195,8 +193,9 @@ class Beliefs:
         As long as what is believed is nearly what deployments were laid for, what lies answers
         linearly, and these go on from where they have come to.
         """
-        mean = self.account.mean if mean is None else mean
-        if not self._linear(mean):
+        account = self.account
+        mean = account.mean if mean is None else mean
+        if not _enough(replace(account, mean=mean), self.about):
             self.about = mean
         apart = mean - self.about
         directions = self._directions(path)
@@ -244,7 +243,7 @@ class Beliefs:
             for _ in range(_ITERATIONS):
                 laid = yield from self.felt(path, mean=here, **options)
                 found = _told(one, here, laid, s, pictures, still)
-                if _enough(found, here):
+                if _enough(found, here) or self.hurried(_SHARE):
                     break
                 step = found.mean - here
                 here = here + min(1.0, _MOST_CHANGE / float(np.abs(step).max())) * step
@@ -326,74 +325,3 @@ def told_by(
     weight, apart = weight.ravel(), residual.ravel()
     pulled = matrix.T * weight
     return pulled @ matrix, pulled @ apart, residual, 0.5 * float(weight @ apart**2)
-
-
-def doubted(laid: Laid, pattern: Pattern, s: float, seen: Seen, aside: np.ndarray) -> float:
-    """How much likelier it is to see what lies near the contact `aside` (2,) [m] of where it is
-    believed to than on the pattern: twice the logarithm of that."""
-    near = np.arange(len(seen.arc_length)) < seen.laid
-    near &= seen.arc_length > max(s - _NEAR, pattern.remainder_length)
-    at = seen.arc_length[near]
-    believed = interpolated(laid.arc_length, laid.centerline, at) + [*aside, 0.0]
-    wanted = pattern.sample(at - pattern.remainder_length)[0]
-    weight = 1.0 / seen.deviation[near, :2] ** 2
-    apart = [(seen.place[near] - one)[:, :2] ** 2 * weight for one in (wanted, believed)]
-    return float(np.sum(apart[0] - apart[1]))
-
-
-class Beside:
-    """How far what lies near the contact is beside what is believed to lie there, look after look.
-
-    A stationary process along the way for each of some deviations, none among them, which are as
-    likely as they make what is seen: what the camera's noise explains moves no grip. Which of them
-    it is may change from look to look: that all went well so far does not speak against what is
-    seen now.
-    """
-
-    def __init__(self) -> None:
-        self.mean = np.zeros((len(_BESIDE), 2))
-        self.covariance = _BESIDE[:, None, None] ** 2 * np.eye(2)
-        self.chance = _LIKELY
-        self.gone = 0.0
-
-    def told(self, laid: Laid, s: float, seen: Seen, gone: float) -> np.ndarray:
-        """(2,) by what is seen when `s` [m] is laid and `gone` [m] of the way are gone [m]: what
-        the beliefs cannot say is taken to go on. Only across the rod: how far along it a point is,
-        a picture does not tell well."""
-        left = np.exp(-(gone - self.gone) / _NEAR)
-        if gone > self.gone:
-            self.chance = (1.0 - _NEWS) * self.chance + _NEWS * _LIKELY
-        self.gone, self.mean = gone, left * self.mean
-        renewed = (1.0 - left**2) * _BESIDE[:, None, None] ** 2 * np.eye(2)
-        self.covariance = left**2 * self.covariance + renewed
-        across, apart = _across(laid, s, seen)
-        weight = 1.0 / seen.deviation[0, 0] ** 2 if len(apart) else 0.0
-        information = weight * across.T @ across
-        told = weight * across.T @ apart
-        pull = told - self.mean @ information
-        # Against its being where it is believed to lie: what was known before, and what this adds.
-        explained = np.einsum("ki,ki->k", told + pull, self.mean)
-        spread = np.eye(2) + information @ self.covariance
-        self.covariance = self.covariance @ np.linalg.inv(spread)
-        step = np.einsum("kij,kj->ki", self.covariance, pull)
-        self.mean = self.mean + step
-        explained += np.einsum("ki,ki->k", pull, step)
-        likely = 0.5 * (explained - np.linalg.slogdet(spread)[1])
-        self.chance = self.chance * np.exp(likely - likely.max())
-        self.chance = self.chance / self.chance.sum()
-        return self.chance @ self.mean
-
-
-def _across(laid: Laid, s: float, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 2) directions across the rod where it is seen to lie near the contact, and (n,) how far
-    beside what is believed it is there [m]."""
-    near = np.arange(len(seen.arc_length)) < seen.laid
-    near &= seen.arc_length > s - _NEAR
-    at = seen.arc_length[near]
-    place, ahead = (
-        interpolated(laid.arc_length, laid.centerline, at + step) for step in (0.0, _STEP)
-    )
-    tangent = (ahead - place)[:, :2]
-    across = np.column_stack([-tangent[:, 1], tangent[:, 0]])
-    across /= np.linalg.norm(across, axis=1)[:, None]
-    return across, np.einsum("ni,ni->n", across, (seen.place[near] - place)[:, :2])

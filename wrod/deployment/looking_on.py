@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from wrod import arguments
-from wrod.deployment.beliefs import Beliefs, Beside, doubted, told_by
+from wrod.deployment.beliefs import Beliefs, told_by
+from wrod.deployment.beside import Beside, doubted
 from wrod.deployment.replanning import HORIZON, Moment
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen
@@ -32,6 +33,8 @@ _LEAST_POSES = 3
 # The grip goes back so many times at most, and if what is seen is likelier where it is believed to
 # lie than on the pattern, by twice the logarithm: three deviations of the camera's noise.
 _MOST_TIMES, _BEYOND_NOISE = 8, 9.0
+# Processor time that a look takes at most [s].
+PATIENCE = 8.0
 # What lies on average so far from where it is believed to [L_gb] is not this rod in this frame.
 _STRAY = 3.0
 
@@ -53,6 +56,7 @@ class Look:
         seconds: of a processor to renew the beliefs by the pictures, and the path by these [s].
         kept: whether the path was kept, as others than were believed in, but as likely, are laid no
             better by the corrected one.
+        hurried: whether more time might have told or planned better, see `patience`.
         back: laid length to which the grip went back then [m]; None: it went on.
     """
 
@@ -67,6 +71,7 @@ class Look:
     varies: tuple[float, float]
     seconds: float
     kept: bool
+    hurried: bool = False
     back: float | None = None
 
 
@@ -89,6 +94,9 @@ class FeedbackLoop:
         again: whether the grip may go back and lay anew what has gone wrong.
         horizon: how far beyond the contact the path is corrected after a look [L_gb].
         hold: length of the free end that is held at first [m].
+        patience: processor time that a look takes at most [s], as it is reckoned of a core of an
+            EPYC, so that no result depends on the machine; a GPU takes what it takes. What is
+            believed and planned by then is the best so far.
 
     Attributes:
         beliefs: of the rod, the table and where the robot stands.
@@ -108,6 +116,7 @@ class FeedbackLoop:
         hidden=arguments.number(0.0, 100.0),
         horizon=arguments.number(2.0, 1e3),
         hold=arguments.number(0.0, 10.0, above=0.0),
+        patience=arguments.number(0.0, 1e9, above=0.0),
     )
     def __init__(
         self,
@@ -121,6 +130,7 @@ class FeedbackLoop:
         again: bool = True,
         horizon: float = HORIZON,
         hold: float = 0.05,
+        patience: float = PATIENCE,
     ):
         refuse_other_plans(Trial(pattern, rod, trajectory, Friction(friction)))
         pattern = with_remainder_of(pattern, trajectory)
@@ -131,6 +141,7 @@ class FeedbackLoop:
         self.gone = float(s[min(int(np.searchsorted(s, hold)) + _LEAST_POSES, len(s) - 1)])
         self.ended, self._stood = False, -1.0
         self._every, self._again, self._horizon = every, again, horizon
+        self._patience = patience
         self._beside, self._returns = Beside(), list[tuple[float, float]]()
         self._known: set[bytes] = set()
 
@@ -229,6 +240,7 @@ class FeedbackLoop:
         first = self.held
         held: dict[str, Any] = {"release": gone + beliefs.hold} if first else {}
         began, misfit = process_time(), float("nan")
+        beliefs.looking(self._patience)
         if np.isfinite(stray):
             before = yield from beliefs.felt(path, **held)
             for k, seen in enumerate(pictures):
@@ -291,5 +303,6 @@ def _look(
         (float(factor.min()), float(factor.max())),
         seconds,
         kept,
+        beliefs.hurried(),
         back,
     )

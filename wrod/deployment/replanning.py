@@ -41,6 +41,9 @@ _GAIN = 2e-5
 # Where the grip has gone back to about the same place before [m], it goes again only if that left
 # less than so much of the error.
 _THERE, _LEFT = 0.02, 0.7
+# Shares of the time of a look that may be gone when the path ahead is corrected once more, and when
+# it is asked whether to go back.
+_FORWARDS, _BACK = 0.7, 0.85
 
 
 # Pairs of others that are as likely as what is believed, which judge a way that is corrected: they
@@ -91,13 +94,14 @@ class Moment:
         the beliefs: for others that are as likely as these it is not."""
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         at = self.way.laid_at(self.gone)
-        before, after, old, new = yield from self._corrected(self.way, self.gone)
+        told = self._corrected(self.way, self.gone, share=_FORWARDS)
+        before, after, old, new = yield from told
         kept = new is not old and not self._better(new, old)
         now, after = (old, before) if kept else (new, after)
         s = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
         lately = (s > at - _LOOKED_AT) & (s <= at)
         wrong = float(before[lately].mean()) if lately.any() else 0.0
-        if not again or wrong < _WRONG:
+        if not again or wrong < _WRONG or beliefs.hurried(_BACK):
             return now.way, self.gone, None, kept
         begins = float(s[lately & (before > _BEGINS * _WRONG)][0]) - _BEFORE
         begins = max(begins, beliefs.hold + _BEFORE)
@@ -124,7 +128,7 @@ class Moment:
         return bool(errors[0] < errors[1])
 
     def _corrected(
-        self, way: Way, turn: float, anew: bool = False
+        self, way: Way, turn: float, anew: bool = False, share: float = 1.0
     ) -> Course[tuple[np.ndarray, np.ndarray, _Candidate, _Candidate]]:
         """(50,) error that is expected along the pattern before and after [m]; and the way before
         and after it is corrected from now on, which lays rod from `turn` on; or all of it `anew`.
@@ -165,7 +169,8 @@ class Moment:
         for _ in range(_STEPS if np.isfinite(now.value) else 0):
             step = now.step(radius, damping)
             length, promised = np.abs(step).max(), now.value - now.after(step).value
-            if not promised > max(_DONE * now.value, METRIC_POINTS * _FELT**2):
+            worth = promised > max(_DONE * now.value, METRIC_POINTS * _FELT**2)
+            if not worth or beliefs.hurried(share):
                 now = now.after(now.step(min(radius, _TRUSTED), damping))
                 break
             tried = yield from at(now.values + step)
