@@ -711,14 +711,14 @@ CALLS = {
     ),
     "lay_with_feedback": lambda: (
         feedback().lay_with_feedback,
-        dict(pattern=line(), rod=vps(), trajectory=path(), friction=0.5,
-             plant=feedback().Plant(vps(), wrod.Friction(0.4)), every=0.05, sight=None,
-             known=False, again=True, horizon=10.0, hold=0.05, device="cpu"),
+        dict(loop=wrod.FeedbackLoop(line(), vps(), path(), 0.5),
+             plant=feedback().Plant(vps(), wrod.Friction(0.4)), sight=None, known=False,
+             device="cpu"),
     ),
     "FeedbackLoop": lambda: (
         wrod.FeedbackLoop,
         dict(pattern=line(), rod=vps(), trajectory=path(), friction=0.5, every=0.05, hidden=0.03,
-             again=True, horizon=10.0, hold=0.05),
+             again=True, horizon=10.0, hold=0.05, patience=8.0),
     ),
     "Sight": lambda: (
         feedback().Sight, dict(noise=5e-4, spacing=0.01, hidden=0.03, hanging=1e-3, seed=0),

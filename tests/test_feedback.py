@@ -34,9 +34,8 @@ def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend, monkeypatch):
     pattern, trajectory = bend
     off = Disturbance(offset=(0.0, 0.004), yaw=0.01)
     plant = Plant(ROD, Friction(0.6), off)
-    followed = lay_with_feedback(
-        pattern, ROD, trajectory, 0.6, plant, every=0.06, sight=Sight(noise=2e-4), **ROUGH
-    )
+    loop = wrod.FeedbackLoop(pattern, ROD, trajectory, 0.6, every=0.06)
+    followed = lay_with_feedback(loop, plant, sight=Sight(noise=2e-4), **ROUGH)
     (blind,) = lay([Trial(pattern, ROD, trajectory, Friction(0.6), off)], **ROUGH)
     left, before = (
         errors_along(pattern, x.arc_length, x.centerline)[1] for x in (followed.laid, blind)
@@ -208,7 +207,7 @@ def test_a_plant_is_shaken_as_it_was_however_long_it_goes_on(bend):
 def test_looks_that_never_come_are_refused(bend):
     pattern, trajectory = bend
     with pytest.raises(RodError, match=r"every is 0\.0; it must be"):
-        lay_with_feedback(pattern, ROD, trajectory, 0.6, Plant(ROD, Friction(0.6)), every=0.0)
+        wrod.FeedbackLoop(pattern, ROD, trajectory, 0.6, every=0.0)
 
 
 def test_an_unknown_effect_is_refused(tmp_path):

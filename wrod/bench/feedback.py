@@ -25,14 +25,8 @@ EFFECTS = {
     "offset": "robot 2 mm beside its place",
     "half": "half the table with half the friction",
 }
-# How, and what `lay_with_feedback` is told for it besides; "known" is a floor, not a way.
-WAYS: dict[str, dict[str, Any]] = {
-    "blind": {},
-    "forwards": {"again": False},
-    "followed": {},
-    "above": {"hanging": float("inf")},
-    "known": {"known": True},
-}
+# How: "known" is a floor, not a way.
+WAYS = "blind", "forwards", "followed", "above", "known"
 KEYS = ("rod", "pattern", "effect", "way", "seed")
 _LGB = {"stiffness": 1.15, "softness": 0.85}
 _OFFSET = 2e-3 / np.sqrt(2.0)
@@ -61,6 +55,8 @@ _FIRST_SEED = 9_000
 @click.option("--every", default=0.03, show_default=True, help="Way between two looks [m].")
 @click.option("--horizon", default=6.0, show_default=True,
               help="How far ahead the path is corrected after a look [L_gb].")  # fmt: skip
+@click.option("--patience", default=8.0, show_default=True,
+              help="Reckoned processor time that a look takes at most [s].")  # fmt: skip
 @click.option("--undisturbed", is_flag=True, help="The effect alone, without shaking and the rest.")
 @click.option("--finished", is_flag=True, help="Tell what is finished in OUT, and lay nothing.")
 @click.option("--workers", default=1, show_default=True,
@@ -87,7 +83,7 @@ def command(
     from wrod.files.ledger import Ledger
     from wrod.rods.batch import resolve_device
 
-    chosen, asked = some(effects, "effect", tuple(EFFECTS)), some(ways, "way", tuple(WAYS))
+    chosen, asked = some(effects, "effect", tuple(EFFECTS)), some(ways, "way", WAYS)
     device = resolve_device(device)
     shelf = Shelf(out / "plans", how.pop("patterns"), device)
     places = list(product(rods.split(","), names.split(",")))
@@ -242,6 +238,7 @@ def _course(shelf, key: tuple, how: dict):
 
     from wrod.deployment.expectation import FINE, PACE
     from wrod.deployment.feedback import following
+    from wrod.deployment.looking_on import FeedbackLoop
     from wrod.deployment.result import errors_along
     from wrod.deployment.sight import Sight
     from wrod.deployment.simulate import Trial
@@ -253,18 +250,18 @@ def _course(shelf, key: tuple, how: dict):
     trajectory = shelf.plan(rod_name, name, how["friction"], "optimised")
     how_laid: dict[str, Any] = {"discretisation": FINE, "speed": PACE}
     plant = _world(effect, led, material, how["friction"], seed, how["undisturbed"])
-    looks: list = []
+    mu, looks = how["friction"], []
     if way == "blind":
         rest = Tail.none(trajectory)
         trial = Trial(led, plant.rod, trajectory, plant.friction, plant.disturbance, rest)
         (laid,) = yield Asked([trial], None, {"friction_field": plant.friction_field, **how_laid})
     else:
-        told = dict(WAYS[way])
-        seeing = {k: told.pop(k) for k in ("hanging",) if k in told}
-        followed = yield from following(
-            led, material, trajectory, how["friction"], plant, every=how["every"],
-            horizon=how["horizon"], sight=Sight(seed=seed, **seeing), **told, **how_laid,
-        )  # fmt: skip
+        told = {name: how[name] for name in ("every", "horizon", "patience")}
+        loop = FeedbackLoop(led, material, trajectory, mu, again=way != "forwards", **told)
+        sight = Sight(seed=seed)
+        sight = replace(sight, hanging=np.inf) if way == "above" else sight
+        known = way == "known"
+        followed = yield from following(loop, plant, sight=sight, known=known, **how_laid)
         laid, looks = followed.laid, followed.looks
     error = 100.0 * errors_along(led, laid.arc_length, laid.centerline)[1]
     return dict(zip(KEYS, key, strict=True)) | {

@@ -289,6 +289,7 @@ def _course(shelf: Shelf, key: tuple, how: dict):
     from wrod.bench.mujoco_chain import lay_in_mujoco, put_down_in_mujoco
     from wrod.bench.put_down import put_down
     from wrod.deployment.feedback import Plant, following
+    from wrod.deployment.looking_on import FeedbackLoop
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.sight import Sight
     from wrod.deployment.simulate import Trial
@@ -323,10 +324,8 @@ def _course(shelf: Shelf, key: tuple, how: dict):
         else:
             if method == "feedback":
                 plant = Plant(material, Friction(mu), told)
-                sight = Sight(seed=seed)
-                followed = yield from following(
-                    led, material, trajectory, mu, plant, sight=sight, **how
-                )
+                loop = FeedbackLoop(led, material, trajectory, mu)
+                followed = yield from following(loop, plant, sight=Sight(seed=seed), **how)
                 laid = followed.laid
             else:
                 (laid,) = yield Asked([trial], None, how)

@@ -14,17 +14,16 @@ import numpy as np
 
 from wrod import arguments
 from wrod.deployment.beliefs import Beliefs, meshed_to_the_end
+from wrod.deployment.bounds import refuse_another_rod
 from wrod.deployment.discretisation import USUAL
 from wrod.deployment.looking_on import FeedbackLoop, Look
 from wrod.deployment.remembered import Remembered
-from wrod.deployment.replanning import HORIZON
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, Sight
-from wrod.deployment.simulate import Trial, refuse_other_plans
+from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Laid
 from wrod.deployment.together import Asked, Course, follow
 from wrod.errors import RodError
-from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.records import checked_fields
@@ -70,29 +69,18 @@ class Followed:
 
 @arguments.checked(
     RodError,
-    rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
-    friction=arguments.number(0.0, 100.0),
+    loop=arguments.like("a wrod.FeedbackLoop", "ahead", "beliefs", "looked"),
     plant=arguments.like("a wrod.deployment.feedback.Plant", "rod", "friction", "disturbance"),
-    every=arguments.number(5e-3, 100.0),
     sight=arguments.optional(
         arguments.like("a wrod.deployment.sight.Sight", "noise", "spacing", "hidden", "hanging")
     ),
-    horizon=arguments.number(2.0, 1e3),
-    hold=arguments.number(0.0, 10.0, above=0.0),
 )
 def lay_with_feedback(
-    pattern: Pattern,
-    rod: RodMaterial,
-    trajectory: Trajectory,
-    friction: float,
+    loop: FeedbackLoop,
     plant: Plant,
     *,
-    every: float = 0.03,
     sight: Sight | None = None,
     known: bool = False,
-    again: bool = True,
-    horizon: float = HORIZON,
-    hold: float = 0.05,
     device: str | None = "cpu",
     **options,
 ) -> Followed:
@@ -103,55 +91,37 @@ def lay_with_feedback(
     of the robot that is seen then does no harm.
 
     Args:
-        pattern: with the remainder that the trajectory lays.
-        rod: that is believed in.
-        trajectory: planned for it.
-        friction: that is believed in.
+        loop: what is believed in and how it is looked at, as with a robot; that has not begun.
         plant: what is really there; only its rod is looked at.
-        every: length that the grip goes between two looks [m].
         sight: how the camera sees; default: `Sight()`.
         known: believe the truth from the first look on: what is left then is the share of control,
             and of what cannot be laid any better.
-        again: whether the grip may go back and lay anew what has gone wrong.
-        horizon: how far beyond the contact the path is corrected after a look [L_gb].
-        hold: length of the free end that is held at first [m].
         device: "cpu", "cuda:0" or "auto".
         options: of `wrod.deployment.tangents.lay`, for the plant.
 
     Raises:
-        RodError: an argument is not usable.
+        RodError: an argument is not usable, or the loop has begun.
     """
-    course = following(
-        pattern, rod, trajectory, friction, plant, every=every, sight=sight, known=known,
-        again=again, horizon=horizon, hold=hold, **options,
-    )  # fmt: skip
-    refuse_other_plans(Trial(pattern, plant.rod, trajectory, plant.friction))
-    return follow([course], hold=hold, device=device)[0]
+    refuse_another_rod(loop.path, plant.rod, ("length", "radius"))
+    course = following(loop, plant, sight=sight, known=known, **options)
+    return follow([course], hold=loop.beliefs.hold, device=device)[0]
 
 
 def following(
-    pattern: Pattern,
-    rod: RodMaterial,
-    trajectory: Trajectory,
-    friction: float,
+    loop: FeedbackLoop,
     plant: Plant,
     *,
-    every: float = 0.03,
     sight: Sight | None = None,
     known: bool = False,
-    again: bool = True,
-    horizon: float = HORIZON,
-    hold: float = 0.05,
     **options,
 ) -> Course[Followed]:
     """The deployments of `lay_with_feedback`, and what it returns."""
+    if not loop.held:
+        raise RodError("the deployment has begun; give a loop that has not looked at anything yet")
     sight = sight or Sight()
     rng = np.random.default_rng(sight.seed)
-    loop = FeedbackLoop(
-        pattern, rod, trajectory, friction, every=every, hidden=sight.hidden, again=again,
-        horizon=horizon, hold=hold,
-    )  # fmt: skip
     beliefs, gone_on = loop.beliefs, Remembered()
+    pattern, hold = beliefs.pattern, beliefs.hold
 
     def really(path: Trajectory, **more) -> Course[Laid]:
         how = plant.disturbance
