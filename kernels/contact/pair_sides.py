@@ -96,7 +96,7 @@ def what_it_feels(p: Piece, e: wp.vec3d, n: wp.vec3d, push: wp.vec3d, pull: wp.v
     return out
 
 
-@wp.func
+@wp.func(inline=False)
 def touching_of(
     m: Pieces, rubbing: Rubbing, dt: wp.float64, dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64), r: int, i: int, j: int, k: int,

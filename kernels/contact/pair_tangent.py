@@ -224,7 +224,7 @@ def follow_nearest(t: Touching, a: Way, b: Way) -> Closer:
     return out
 
 
-@wp.func
+@wp.func(inline=False)
 def follow_pair(t: Touching, a: Way, b: Way, w: LawWay) -> Follow:
     """How a pair follows a change of its first piece, of its second and of its law."""
     out = Follow()

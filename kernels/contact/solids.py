@@ -312,7 +312,8 @@ def mesh_surface(p: wp.vec3d, mesh: wp.uint64, size: wp.float64) -> Surface:
     return s
 
 
-@wp.func
+# Written out at every place that asks, this takes a GPU's compiler minutes.
+@wp.func(inline=False)
 def solid_surface(kind: int, size: wp.vec3d, mesh: wp.uint64, p: wp.vec3d) -> Surface:
     s = Surface()
     if kind == BOX:

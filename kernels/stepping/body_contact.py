@@ -111,7 +111,7 @@ def add_wrench(push: wp.array3d(dtype=wp.float64), r: int, s: int, g: wp.vec3d, 
     wp.atomic_add(push, r, s, 6, wp.length(g))
 
 
-@wp.func
+@wp.func(inline=False)
 def add_block(
     matrix: wp.array3d(dtype=wp.float64),
     r: int,
