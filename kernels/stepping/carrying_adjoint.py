@@ -59,6 +59,43 @@ def on_the_way_back(
     return out
 
 
+@wp.func
+def want_carrier(
+    body: int,
+    r: int,
+    duration: wp.float64,
+    step: OneStep,
+    changed: wp.array(dtype=wp.int32),
+    body_before: wp.array(dtype=wp.transform),
+    body_q: wp.array(dtype=wp.transform),
+    arm: wp.vec3d,
+    force: wp.vec3d,
+    torque: wp.vec3d,
+    force_at_start: wp.vec3d,
+    torque_at_start: wp.vec3d,
+    by_body_before: wp.array2d(dtype=wp.float32),
+    by_body_q: wp.array2d(dtype=wp.float32),
+):
+    """Of what a body carries at `arm`, at the end of a row's step and at its start, to the body's
+    poses at the end of the simulator's step and at its start."""
+    before = as_pose(body_before[body])
+    if changed[r] != 0:
+        before = as_pose(body_q[body])
+    way = turn_to(as_pose(body_q[body]).rotation, before.rotation)
+    left = left_of(step, r)
+    start = wp.clamp((left + step.span[r]) / duration, ZERO, ONE)
+    end = wp.clamp(left / duration, ZERO, ONE)
+    a = on_the_way_back(before, way, end, arm, force, torque)
+    b = on_the_way_back(before, way, start, arm, force_at_start, torque_at_start)
+    want_pose(by_body_q, body, body_q[body], a.after + b.after, a.turn_after + b.turn_after)
+    moved = a.before + b.before
+    turned = a.turn_before + b.turn_before
+    if changed[r] != 0:
+        want_pose(by_body_q, body, body_q[body], moved, turned)
+    else:
+        want_pose(by_body_before, body, body_before[body], moved, turned)
+
+
 @wp.kernel
 def want_carriers(
     # Model:
@@ -82,24 +119,11 @@ def want_carriers(
     body = carrier[r, k]
     if step.active[r] == 0 or body < 0:
         return
-    before = as_pose(body_before[body])
-    if changed[r] != 0:
-        before = as_pose(body_q[body])
-    way = turn_to(as_pose(body_q[body]).rotation, before.rotation)
-    left = left_of(step, r)
-    start = wp.clamp((left + step.span[r]) / duration, ZERO, ONE)
-    end = wp.clamp(left / duration, ZERO, ONE)
-    a = on_the_way_back(before, way, end, place[r, k], wanted.place[r, k], wanted.turn[r, k])
-    b = on_the_way_back(
-        before, way, start, place[r, k], wanted.place_at_start[r, k], wanted.turn_at_start[r, k]
-    )
-    want_pose(by_body_q, body, body_q[body], a.after + b.after, a.turn_after + b.turn_after)
-    moved = a.before + b.before
-    turned = a.turn_before + b.turn_before
-    if changed[r] != 0:
-        want_pose(by_body_q, body, body_q[body], moved, turned)
-    else:
-        want_pose(by_body_before, body, body_before[body], moved, turned)
+    want_carrier(
+        body, r, duration, step, changed, body_before, body_q, place[r, k], wanted.place[r, k],
+        wanted.turn[r, k], wanted.place_at_start[r, k], wanted.turn_at_start[r, k],
+        by_body_before, by_body_q,
+    )  # fmt: skip
     none = wp.vec3d(ZERO, ZERO, ZERO)
     wanted.place[r, k] = none
     wanted.turn[r, k] = none

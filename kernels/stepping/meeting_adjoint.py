@@ -1,5 +1,5 @@
-"""The adjoint of what rigid bodies that move with rods do to each other and to what stands still,
-in the steps of `wrod.kernels.stepping.body_adjoint`.
+"""The adjoint of what rigid bodies that move with rods do to each other, and to what stands still
+or is moved by others, in the steps of `wrod.kernels.stepping.body_adjoint`.
 
 What collision detection found counts as given, and so does whether a contact presses, sticks or
 slides. With g the force on the second body and U the difference of the multipliers of the two
@@ -12,8 +12,10 @@ from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.stepping.bodies import Body, BodyMotion
 from wrod.kernels.stepping.body_adjoint import WantedBodies, part
 from wrod.kernels.stepping.body_contact import Held, Press, add_stiffness, hold, pose_in_row, press
-from wrod.kernels.stepping.body_meetings import Meeting, from_pose
-from wrod.kernels.stepping.carrying import Pose
+from wrod.kernels.stepping.body_meetings import Meeting, from_pose, pose_of
+from wrod.kernels.stepping.carrying import Pose, as_pose
+from wrod.kernels.stepping.carrying_adjoint import want_carrier
+from wrod.kernels.stepping.exchange_adjoint import want_pose
 from wrod.kernels.stepping.trace import OneStep
 
 wp.set_module_options({"enable_backward": False})
@@ -38,35 +40,9 @@ def keep_bristles(
         kept[count[r], i] = bristle[i]
 
 
-@wp.kernel
-def find_unknown(
-    # Model:
-    body: wp.array2d(dtype=Body),
-    # State in:
-    meeting: wp.array(dtype=Meeting),
-    chosen: wp.array(dtype=wp.int32),
-    now: BodyMotion,
-    before: BodyMotion,
-    there_now: wp.array(dtype=Pose),
-    there_before: wp.array(dtype=Pose),
-    # State out:
-    touching_out: wp.array(dtype=wp.int32),
-):
-    """Say of the chosen rows whether bodies touch others that something else moves."""
-    i = wp.tid()
-    m = meeting[i]
-    if m.row < 0:
-        return
-    if chosen[m.row] == 0 or m.other >= 0 or m.body < 0:
-        return
-    p = press(m, body, now, before, there_now[i], there_before[i])
-    if p.depth > ZERO:
-        touching_out[m.row] = 1
-
-
 @wp.func
 def centre_of(x: BodyMotion, m: Meeting, slot: int) -> wp.vec3d:
-    """Where a body's centre is; of what stands still it does not matter."""
+    """Where a body's centre is; of what others move it does not matter."""
     if slot < 0:
         return wp.vec3d(ZERO, ZERO, ZERO)
     return x.place[m.row, slot]
@@ -112,14 +88,6 @@ def add_wanted(load: wp.array3d(dtype=wp.float64), r: int, s: int, arm: wp.vec3d
         wp.atomic_add(load, r, s, 3 + c, t[c])
 
 
-@wp.func
-def present(m: Meeting, body: wp.array2d(dtype=Body), now: BodyMotion, before: BodyMotion) -> Press:
-    """Of bodies with each other and with the world."""
-    stands = Pose()
-    stands.rotation = wp.quatd(ZERO, ZERO, ZERO, ONE)
-    return press(m, body, now, before, stands, stands)
-
-
 @wp.kernel
 def weigh_meetings(
     # Model:
@@ -129,6 +97,8 @@ def weigh_meetings(
     at: OneStep,
     now: BodyMotion,
     before: BodyMotion,
+    there_now: wp.array(dtype=Pose),
+    there_before: wp.array(dtype=Pose),
     kept: wp.array2d(dtype=wp.vec3d),
     count: wp.array(dtype=wp.int32),
     back: int,
@@ -146,7 +116,7 @@ def weigh_meetings(
     r = m.row
     if at.active[r] == 0:
         return
-    p = present(m, body, now, before)
+    p = press(m, body, now, before, there_now[i], there_before[i])
     if p.depth <= ZERO:
         return
     h = hold(m, p, kept[count[r] - 1 - back, i], at.span[r])
@@ -184,9 +154,28 @@ def along_slip(h: Held) -> wp.vec3d:
 
 
 @wp.func
-def unturned(now: BodyMotion, before: BodyMotion, r: int, s: int, g: wp.vec3d) -> wp.vec3d:
+def unturned(now: wp.quatd, before: wp.quatd, g: wp.vec3d) -> wp.vec3d:
     """What is wanted of a point of a body's frame by whose way in the step g is."""
-    return wp.quat_rotate_inv(now.turn[r, s], g) - wp.quat_rotate_inv(before.turn[r, s], g)
+    return wp.quat_rotate_inv(now, g) - wp.quat_rotate_inv(before, g)
+
+
+@wp.struct
+class WantedThere:
+    """What is wanted of a body that others move at the end of a step or at its start: of its place,
+    and of its turn by a rotation vector."""
+
+    place: wp.vec3d
+    turn: wp.vec3d
+
+
+@wp.func
+def wanted_there(x: Pose, m: Meeting, of_point: wp.vec3d, of_grip: wp.vec3d) -> WantedThere:
+    """From what is wanted of its points."""
+    out = WantedThere()
+    out.place = of_point + of_grip
+    out.turn = wp.cross(wp.quat_rotate(x.rotation, m.point_there), of_point)
+    out.turn += wp.cross(wp.quat_rotate(x.rotation, m.grip_there), of_grip)
+    return out
 
 
 @wp.kernel
@@ -198,19 +187,28 @@ def want_meetings_before(
     at: OneStep,
     now: BodyMotion,
     before: BodyMotion,
+    there_now: wp.array(dtype=Pose),
+    there_before: wp.array(dtype=Pose),
     kept: wp.array2d(dtype=wp.vec3d),
     count: wp.array(dtype=wp.int32),
     back: int,
     multiplier: wp.array2d(dtype=wp.float64),
+    duration: wp.float64,
+    changed: wp.array(dtype=wp.int32),
+    body_before: wp.array(dtype=wp.transform),
+    body_q: wp.array(dtype=wp.transform),
     # State in and out:
     wanted: wp.array(dtype=wp.vec3d),
     grip: wp.array(dtype=wp.vec3d),
     grip_there: wp.array(dtype=wp.vec3d),
     wanted_before: WantedBodies,
     by_friction: wp.array(dtype=wp.float32),
+    by_body_before: wp.array2d(dtype=wp.float32),
+    by_body_q: wp.array2d(dtype=wp.float32),
 ):
-    """From the solution to where bodies came from, to what friction held, where on the bodies, and
-    to its coefficients, the shapes' mean."""
+    """From the solution to where bodies came from, to what friction held, where on the bodies, to
+    its coefficients, the shapes' mean, and to the poses of bodies that others move at the start of
+    the simulator's step and at its end."""
     i = wp.tid()
     m = meeting[i]
     if m.row < 0:
@@ -220,7 +218,7 @@ def want_meetings_before(
         return
     y = wanted[i] / m.stiffness
     wanted[i] = wp.vec3d(ZERO, ZERO, ZERO)
-    p = present(m, body, now, before)
+    p = press(m, body, now, before, there_now[i], there_before[i])
     if p.depth <= ZERO:
         return
     h = hold(m, p, kept[count[r] - 1 - back, i], at.span[r])
@@ -235,37 +233,68 @@ def want_meetings_before(
         share = HALF * h.force / m.friction * wp.dot(way, of_pull)
         for k in range(2):
             wp.atomic_add(by_friction, m.shapes[k], wp.float32(share))
-    of_depth = ZERO
+    of_point = h.slope * (wp.dot(u, m.normal) - wp.dot(way, of_pull)) * m.normal
+    push = wp.vec3d(ZERO, ZERO, ZERO)
     if p.closing < p.depth:
         lag = m.relaxation / at.span[r]
-        of_depth = h.slope * lag / (ONE + lag) * (wp.dot(u, m.normal) - wp.dot(way, of_pull))
-    push = of_depth * m.normal
+        push = lag / (ONE + lag) * of_point
     was = pose_in_row(body, before, r, m.slot)
     centre = before.place[r, m.slot]
     add_before(wanted_before, r, m.slot, from_pose(was, m.point) - centre, push)
     add_before(wanted_before, r, m.slot, from_pose(was, m.grip) - centre, -of_bristle)
-    grip[i] = grip[i] + unturned(now, before, r, m.slot, of_bristle)
+    grip[i] = grip[i] + unturned(now.turn[r, m.slot], was.rotation, of_bristle)
     if m.other >= 0:
         was = pose_in_row(body, before, r, m.other)
         centre = before.place[r, m.other]
         add_before(wanted_before, r, m.other, from_pose(was, m.point_there) - centre, -push)
         add_before(wanted_before, r, m.other, from_pose(was, m.grip_there) - centre, of_bristle)
-        grip_there[i] = grip_there[i] - unturned(now, before, r, m.other, of_bristle)
+        turned = unturned(now.turn[r, m.other], was.rotation, of_bristle)
+        grip_there[i] = grip_there[i] - turned
+    elif m.body >= 0:
+        its = there_now[i]
+        was = there_before[i]
+        if m.reach_there > m.reach:  # where both press goes with it
+            torque = part(multiplier, r, 6 * m.slot + 3)
+            of_point = of_point + wp.cross(torque, h.force * m.normal + h.pull)
+        end = wanted_there(its, m, of_point, -of_bristle)
+        start = wanted_there(was, m, -push, of_bristle)
+        centre = wp.vec3d(ZERO, ZERO, ZERO)
+        want_carrier(
+            m.body, r, duration, at, changed, body_before, body_q, centre,
+            end.place, end.turn, start.place, start.turn, by_body_before, by_body_q,
+        )  # fmt: skip
+        grip_there[i] = grip_there[i] - unturned(its.rotation, was.rotation, of_bristle)
 
 
 @wp.func
-def add_held(wanted: WantedBodies, m: Meeting, s: int, by_grip: wp.vec3d, p: Press, at: BodyMotion):
-    """What is wanted of where friction holds a body, which is where both met as the simulator's
-    step began."""
-    g = wp.quat_rotate(at.turn[m.row, s], by_grip)
-    add_before(wanted, m.row, s, p.place - at.place[m.row, s], -g)
+def add_held(
+    wanted: WantedBodies,
+    by_read: wp.array2d(dtype=wp.float32),
+    m: Meeting,
+    s: int,
+    x: Pose,
+    raw: wp.transform,
+    by_grip: wp.vec3d,
+    p: Press,
+    at: BodyMotion,
+):
+    """What is wanted of where friction holds a body at x, which is where both met as the
+    simulator's step began. `raw` is the pose of what others move there."""
+    g = wp.quat_rotate(x.rotation, by_grip)
     carrier = m.slot
     point = p.point
     if m.reach_there > m.reach:
         carrier = m.other
         point = p.point_there
-    if carrier >= 0:
-        add_before(wanted, m.row, carrier, point - at.place[m.row, carrier], g)
+    for n in range(2):
+        slot = wp.where(n == 0, s, carrier)
+        place = wp.where(n == 0, p.place, point)
+        force = wp.where(n == 0, -ONE, ONE) * g
+        if slot >= 0:
+            add_before(wanted, m.row, slot, place - at.place[m.row, slot], force)
+        elif m.body >= 0:
+            arm = place - as_pose(raw).position
+            want_pose(by_read, m.body, raw, force, wp.cross(arm, force))
 
 
 @wp.kernel
@@ -275,20 +304,29 @@ def want_grips(
     # State in:
     meeting: wp.array(dtype=Meeting),
     start: BodyMotion,
+    read: wp.array(dtype=wp.transform),
     grip: wp.array(dtype=wp.vec3d),
     grip_there: wp.array(dtype=wp.vec3d),
     # State in and out:
     wanted: WantedBodies,
+    by_read: wp.array2d(dtype=wp.float32),
 ):
-    """To where bodies were as the simulator's step began."""
+    """To where bodies were as the simulator's step began, those that others move as detection
+    found them (`read`)."""
     i = wp.tid()
     m = meeting[i]
     if m.row < 0:
         return
-    p = present(m, body, start, start)
-    add_held(wanted, m, m.slot, grip[i], p, start)
+    its = pose_of(read, m.body)
+    raw = wp.transform_identity()
+    if m.body >= 0:
+        raw = read[m.body]
+    p = press(m, body, start, start, its, its)
+    mine = pose_in_row(body, start, m.row, m.slot)
+    add_held(wanted, by_read, m, m.slot, mine, raw, grip[i], p, start)
     if m.other >= 0:
-        add_held(wanted, m, m.other, grip_there[i], p, start)
+        its = pose_in_row(body, start, m.row, m.other)
+    add_held(wanted, by_read, m, m.other, its, raw, grip_there[i], p, start)
 
 
 @wp.kernel

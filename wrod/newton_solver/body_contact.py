@@ -47,6 +47,7 @@ class BodyContact:
         owned.row, owned.slot = (wp.array(a, dtype=int, device=device) for a in (row, slot))
         owned.mass = model.body_mass
         self._detected = meetings.Detected()
+        self._read = wp.zeros_like(model.body_q, requires_grad=False)
         self.refresh()
 
     def refresh(self) -> None:
@@ -69,6 +70,7 @@ class BodyContact:
         if contacts is None:
             self._fill_none()
             return False
+        wp.copy(self._read, body_q)
         detected = self._detected
         detected.count = contacts.rigid_contact_count
         for name in ("shape0", "shape1", "point0", "point1", "normal", "margin0", "margin1"):
@@ -77,7 +79,7 @@ class BodyContact:
         wp.copy(self._old_bristle, self._bristle)
         self._launch(
             meetings.read_contacts,
-            [self._owned, self.bodies.body, detected, capacity, self.bodies.now, body_q]
+            [self._owned, self.bodies.body, detected, capacity, self.bodies.now, self._read]
             + [self._old, self._old_bristle],
             [self._meeting, self._bristle, self._source],
         )
@@ -110,18 +112,17 @@ class BodyContact:
         inputs = [self._meeting, accepted, count, self._bristle] if self._size else []
         self._launch(adjoint.keep_bristles, inputs, [self._kept])
 
-    def kept(self, steps: int) -> tuple[wp.array, wp.array, wp.array] | None:
+    def kept(self, steps: int) -> tuple[wp.array, ...] | None:
         """(meeting,) contacts of the step that was taken last, (step, meeting) what friction held,
-        and (meeting,) the contacts of the step before that it went on from; None without any."""
+        (meeting,) the contacts of the step before that it went on from, and (body,) the poses that
+        it was told; None without any."""
         if self._size == 0:
             return None
-        return tuple(wp.clone(a) for a in (self._meeting, self._kept[:steps], self._source))
+        arrays = self._meeting, self._kept[:steps], self._source, self._read
+        return tuple(wp.clone(a) for a in arrays)
 
     def find_unknown(self, chosen, dof, dof_before, touching: wp.array) -> None:
-        """Raise `touching` where bodies touch others that something else moves."""
-        if self._size:
-            inputs = [self.bodies.body, self._meeting, chosen, *self._motion()]
-            self._launch(adjoint.find_unknown, inputs, [touching])
+        """All has an adjoint."""
 
     def _fill_none(self) -> None:
         self._launch(meetings.clear_contacts, [], [self._meeting])

@@ -181,13 +181,15 @@ class GroupGradients:
         group, adjoint = self.group, self._prepare()
         by_poses = gradient_of(ends.body_q, 7, group.device)
         hold, bodies, carried = group.hold, adjoint.bodies, self._carried
-        needed = carried is not None or self._is_held
+        by_others = carried is not None or self._meetings is not None
+        needed = by_others or self._is_held
         if by_poses.shape[0] == 0 and needed:
             raise RodError("the bodies of the model have no gradients: body_q requires none")
         by_before = None
         if carried is not None:
-            by_before = wp.zeros_like(by_poses)
             carried.begin(taken)
+        if by_others:
+            by_before = wp.zeros_like(by_poses)
             if taken.wanted_of_poses is not None:
                 group.batch.launch(
                     carrying_kernels.add_poses, by_poses.shape, [taken.wanted_of_poses], [by_poses]
@@ -217,15 +219,15 @@ class GroupGradients:
             if carried is not None:
                 carried.place(step, taken)
             if self._meetings is not None:
-                self._meetings.recall()
+                self._meetings.recall(step)
 
         if self._meetings is not None:
-            self._meetings.begin(taken)
+            self._meetings.begin(taken, [by_before, by_poses])
         adjoint.go_back(taken.record, held, place)
         if carried is not None:
             carried.end()
         if self._meetings is not None:
-            self._meetings.end(taken)
+            self._meetings.end(taken, gradient_of(ends.own[0], 7, group.device))
         adjoint.settle(taken.changed)
         if bodies is not None:
             self._want_bodies(bodies, taken, ends)

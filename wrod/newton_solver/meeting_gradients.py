@@ -1,4 +1,4 @@
-"""Gradients through what free bodies touch: each other, and what stands still."""
+"""Gradients through what free bodies touch: each other, what stands still, what others move."""
 
 from typing import Any
 
@@ -6,6 +6,9 @@ import warp as wp
 
 from wrod.kernels.stepping import meeting_adjoint as kernels
 from wrod.kernels.stepping.bodies import BodyMotion
+from wrod.kernels.stepping.body_meetings import carry_others
+from wrod.kernels.stepping.carrying import Pose
+from wrod.kernels.stepping.carrying_adjoint import find_begun
 from wrod.newton_solver.taken_steps import Taken
 from wrod.solvers.adjoint import StepAdjoint
 
@@ -20,7 +23,8 @@ class MeetingGradients:
 
     def __init__(self, adjoint: StepAdjoint, by_friction: wp.array | None):
         assert adjoint.bodies is not None
-        self._bodies, self._device = adjoint.bodies, adjoint.batch.device
+        self._bodies, self._batch = adjoint.bodies, adjoint.batch
+        self._device = adjoint.batch.device
         self._bodies.meet(self)
         step = self._bodies.step
         self._now, self._before = BodyMotion(), BodyMotion()
@@ -32,33 +36,43 @@ class MeetingGradients:
         self._by_friction = by_friction
         if by_friction is None:
             self._by_friction = wp.zeros(0, dtype=wp.float32, device=self._device)
+        self._begun = wp.zeros_like(adjoint.step.time)
         self._taken: Taken | None = None
         self._back = -1
 
-    def begin(self, taken: Taken) -> None:
-        """Go back through the contacts of this step from now on."""
-        self._taken, self._back = None, -1
+    def begin(self, taken: Taken, by_poses: list[wp.array]) -> None:
+        """Go back through the contacts of this step from now on, to `by_poses` (body, 7) at its
+        start and at its end."""
+        self._taken, self._back, self._by_poses = None, -1, by_poses
         if taken.meetings is None:
             return
         self._taken, count = taken, taken.meetings[0].shape[0]
         self._wanted, self._grip, self._grip_there = (
             wp.zeros(count, dtype=wp.vec3d, device=self._device) for _ in range(3)
         )
+        self._there = [wp.zeros(count, dtype=Pose, device=self._device) for _ in range(2)]
         if taken.wanted_of_meetings is not None:
             self._wanted, taken.wanted_of_meetings = taken.wanted_of_meetings, None
 
-    def recall(self) -> None:
+    def recall(self, step: Any) -> None:
         """Take up the step before of each row."""
         self._back += 1
+        taken = self._taken
+        if taken is None or taken.meetings is None:
+            return
+        self._batch.launch(find_begun, self._batch.rod_count, [step], [self._begun])
+        times = [step.active, taken.changed, step.until, self._begun, step.span]
+        inputs = [wp.float64(taken.duration), taken.meetings[0], *times]
+        self._launch(carry_others, [*inputs, taken.poses_before, taken.poses], self._there[::-1])
 
-    def end(self, taken: Taken) -> None:
-        """Let the start of the step be wanted for where friction held bodies since, and the step
-        before for bristles."""
+    def end(self, taken: Taken, by_read: wp.array) -> None:
+        """Let the start of the step be wanted for where friction held bodies since, of those that
+        others move the poses that were read (`by_read`), and the step before for bristles."""
         if self._taken is None or taken.meetings is None:
             return
-        bodies, (meeting, _, source) = self._bodies, taken.meetings
-        inputs = [bodies.bodies.body, meeting, self._before, self._grip, self._grip_there]
-        self._launch(kernels.want_grips, inputs, [bodies.now])
+        bodies, (meeting, _, source, read) = self._bodies, taken.meetings
+        inputs = [bodies.bodies.body, meeting, self._before, read, self._grip, self._grip_there]
+        self._launch(kernels.want_grips, inputs, [bodies.now, by_read])
         earlier = taken.previous
         if earlier is None or earlier.meetings is None:
             return
@@ -76,15 +90,18 @@ class MeetingGradients:
         """See `wrod.solvers.body_adjoint.Meetings`."""
         if self._taken is not None:
             held = [self._wanted, self._grip, self._grip_there]
-            outputs = [*held, before, self._by_friction]
-            inputs = [*self._step(at), multiplier]
+            outputs = [*held, before, self._by_friction, *self._by_poses]
+            taken = self._taken
+            inputs = [*self._step(at), multiplier, wp.float64(taken.duration), taken.changed]
+            inputs += [taken.poses_before, taken.poses]
             self._launch(kernels.want_meetings_before, inputs, outputs)
 
     def _step(self, at: Any) -> list:
-        meeting, kept, _ = self._taken.meetings
+        meeting, kept, *_ = self._taken.meetings
         count = self._taken.record.count
         body = self._bodies.bodies.body
-        return [body, meeting, at, self._now, self._before, kept, count, self._back]
+        motion = [self._now, self._before, *self._there]
+        return [body, meeting, at, *motion, kept, count, self._back]
 
     def _launch(self, kernel, inputs: list, outputs: list) -> None:
         size = self._taken.meetings[0].shape[0]

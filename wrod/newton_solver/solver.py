@@ -59,11 +59,11 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
 
     Of a model that was finalized with `requires_grad=True`, steps on a `wp.Tape` have gradients, by
     the adjoint of the steps as they are taken: by `state.der`, `body_q` of bodies that others move
-    and that hold or touch rods, `body_q`, `body_qd` and `body_f` of free ones, `gravity`,
+    and that hold or touch rods or free ones, `body_q`, `body_qd`, `body_f` of free ones, `gravity`,
     `shape_material_mu`, and `model.der`'s stretching, bending and twisting stiffness, natural
     curvature and twist, internal and air damping, radii, and node masses and rest lengths (both not
-    for "consistent" inertia). Others have no `grad`. Rods may touch planes that stand still, and
-    solids; free bodies each other, what stands still, and rods; all else is refused.
+    for "consistent" inertia). Others have no `grad`. What is refused, by name, is in
+    docs/newton.md.
 
     Example
     -------

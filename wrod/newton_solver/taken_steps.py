@@ -90,5 +90,5 @@ class Taken:
     tape: weakref.ref
     wanted: list[list[wp.array]] | None = None
     wanted_of_poses: wp.array | None = None
-    meetings: tuple[wp.array, wp.array, wp.array] | None = None
+    meetings: tuple[wp.array, ...] | None = None
     wanted_of_meetings: wp.array | None = None

@@ -226,9 +226,7 @@ class Trace:
                 f"row {int(np.flatnonzero(touched)[0])} of rods touches something in this step "
                 "through which gradients are not there; they are through planes that stand still, "
                 "through solids, where rods begin outside them and are straight at rest if it "
-                "moves with them, through rods, where an edge touches up to "
-                f"{SLOTS} later ones, and where bodies that move with rods touch each other or "
-                "what stands still"
+                f"moves with them, and through rods, where an edge touches up to {SLOTS} later ones"
             )
         return self._record(device_count, most)
 
