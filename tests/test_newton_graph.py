@@ -184,3 +184,49 @@ def test_a_rod_that_is_cut_out_of_a_graph_is_spoken_of():
     assert solver.diverged.tolist() == [True, False]
     with pytest.warns(wrod.errors.WrodWarning, match="rods cut out.*: 0;"):
         solver.step(state, state, None, None, DT)
+
+
+@pytest.mark.parametrize(("hold", "damping"), [("clamped", 0.0), ("pinned", 0.01)])
+def test_changed_stiffness_in_a_graph(hold, damping):
+    """Rods that become stiffer and softer, damped and bent otherwise go on in a captured step as
+    rods that are made so (by "euler", which knows nothing of before, but how clamps bend what is
+    damped); what has another radius is made anew."""
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    for side in (-1.0, 1.0):
+        s = np.linspace(0.0, 0.12, 9)[:, None]
+        SolverDER.add_rod(
+            builder, s * [side, 0.3, 0.0] + [0.02 * side, 0.0, 0.0], ROD, start=hold, end=hold,
+            internal_damping=damping, air_damping=1.0 + side * 0.5,
+        )  # fmt: skip
+    model = builder.finalize(device=DEVICE)
+    der, rng = model.der, np.random.default_rng(7)
+    der.node_natural_curvature.assign(rng.normal(size=(18, 2)))
+    options = dict(scheme="euler", tolerance=1e-12, rod_contact=0.3, rod_stiffness=1e3)
+    solver, state = SolverDER(model, **options), model.state()
+    solver.step(state, state, None, None, DT)
+    groups = solver._groups
+    with wp.ScopedCapture(device=DEVICE) as capture:
+        solver.step(state, state, None, None, DT)
+    for _ in range(3):
+        wp.capture_launch(capture.graph)
+        for name in (
+            "node_bending_stiffness", "node_twisting_stiffness", "edge_stretching_stiffness",
+            "node_natural_curvature", "rod_internal_damping", "rod_air_damping",
+        ):  # fmt: skip
+            value = getattr(der, name).numpy()
+            getattr(der, name).assign(value * rng.uniform(0.5, 2.0, size=value.shape))
+        der.node_natural_twist.assign(rng.normal(size=18))
+        solver.notify_model_changed(SolverDER.ROD_PROPERTIES)
+        made, other = SolverDER(model, **options), model.state()
+        for array in ("node_q", "node_qd", "edge_director", "edge_spin"):
+            wp.copy(getattr(other.der, array), getattr(state.der, array))
+        wp.capture_launch(capture.graph)
+        made.step(other, other, None, None, DT)
+        for array in ("node_q", "node_qd", "edge_director"):
+            same = [getattr(s.der, array).numpy() for s in (state, other)]
+            np.testing.assert_allclose(*same, rtol=0.0, atol=1e-9)
+    assert solver._groups is groups
+    der.rod_radius.assign(2.0 * der.rod_radius.numpy())
+    solver.notify_model_changed(SolverDER.ROD_PROPERTIES)
+    assert solver._groups is not groups

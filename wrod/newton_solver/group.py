@@ -16,6 +16,7 @@ from wrod.rods.state import RodState
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.contact import Friction
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.inertia import rounding_of, usual_force
 from wrod.solvers.pair_adjoint import LawShares
 from wrod.solvers.rod_contact import RodContact
 
@@ -29,6 +30,9 @@ _PAIR_TANGENTIAL = 0.1
 # How far nodes may go in a step over the radius, and how many edges one may be near to: for heaps.
 _WAY, _PARTNERS = 1.25, 64
 _STANDARD_GRAVITY = 9.81
+# Of rods: what is not taken up in place.
+_FIXED = ("node_mass", "node_softening", "node_inelastic", "edge_rest_length", "rod_radius",
+          "rod_touches_rods", "rod_visible")  # fmt: skip
 
 
 class RodGroup:
@@ -97,6 +101,7 @@ class RodGroup:
             **options,
         )
         self._set_air_damping()
+        self._made_of = self._fixed_properties()
         count, nodes = self.place.shape
         self.changed = wp.zeros(count, dtype=wp.int32, device=device)
         # What a device tells the host without being waited for.
@@ -184,6 +189,32 @@ class RodGroup:
             heavy * in_all[1],
         )
         return found[most]
+
+    def _fixed_properties(self) -> list[np.ndarray]:
+        """Numbers that other arrays go with, and which rods are bent at rest or damped at all."""
+        batch, layout = self.batch, self.layout
+        names = [*_FIXED]
+        if self.pair_law is not None:  # how stiff rods are against each other goes with it
+            names.append("edge_stretching_stiffness")
+        air = layout.node_values("air_damping")
+        bent = (batch.natural_curvature.numpy() != 0).any(axis=(1, 2))
+        damped = (layout.node_values("internal_damping") != 0).any()
+        kinds = [bent, damped, (air != air[:, :1]).any()]
+        return [*kinds, *(getattr(self.model.der, name).numpy().copy() for name in names)]
+
+    def refresh_elasticity(self) -> bool:
+        """Take up stiffnesses, the shape at rest and damping, in place; False if the rows have to
+        be made anew, since something else has changed."""
+        batch, dynamics = self.batch, self.dynamics
+        for name, values in self.layout.elasticity().items():
+            getattr(batch, name).assign(values)
+        batch.cut(self.layout.cuts)
+        dynamics.viscosity.set_time(self._internal_damping())
+        self._set_air_damping()
+        dynamics.force_scale.assign(usual_force(batch))
+        scales = dynamics.length_scale.numpy(), dynamics.force_scale.numpy()
+        dynamics.rounding.assign(rounding_of(batch, *scales))
+        return all(map(np.array_equal, self._made_of, self._fixed_properties()))
 
     def refresh_gravity(self) -> None:
         self.batch.gravity.assign(self._gravity())

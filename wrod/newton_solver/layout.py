@@ -11,8 +11,8 @@ from wrod.newton_solver.holds import Holds
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import of_free_part
 
-_OF_NODES = ("bending_stiffness", "twisting_stiffness", "natural_curvature", "natural_twist",
-             "softening", "inelastic")  # fmt: skip
+_ELASTIC = ("bending_stiffness", "twisting_stiffness", "natural_curvature", "natural_twist")
+_OF_LAWS = ("softening", "inelastic")
 
 # What is deeper in a shape by so many radii where it is held begins inside it.
 _INSIDE = 0.5
@@ -169,11 +169,8 @@ class Layout:
         batch = RodBatch(
             position,
             rest_length=rest,
-            stretching_stiffness=der.edge_stretching_stiffness.numpy()[edges],
-            **of_free_part(
-                self.free_share,
-                **{name: getattr(der, f"node_{name}").numpy()[n] for name in _OF_NODES},
-            ),
+            **self.elasticity(),
+            **self._of_nodes(_OF_LAWS),
             node_mass=np.where(self.ghost, 0.0, der.node_mass.numpy()[n]),
             gravity=gravity,
             director=directors,
@@ -181,6 +178,16 @@ class Layout:
         )
         batch.cut(self.cuts)
         return batch
+
+    def elasticity(self) -> dict[str, np.ndarray]:
+        """Stiffnesses and the shape at rest, named as the arrays of `RodBatch`."""
+        stretching = self.model.der.edge_stretching_stiffness.numpy()[self.edges]
+        return {"stretching_stiffness": stretching, **self._of_nodes(_ELASTIC)}
+
+    def _of_nodes(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        der, n = self.model.der, self.places["node"]
+        values = {name: getattr(der, f"node_{name}").numpy()[n] for name in names}
+        return of_free_part(self.free_share, **values)
 
     def _refuse_coincidence(self, position: np.ndarray) -> None:
         for cut in self.cuts:

@@ -363,10 +363,16 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
 
     @off_tape()
     def notify_model_changed(self, flags: newton.ModelFlags | int) -> None:
-        """Take up changed gravity (MODEL_PROPERTIES), shapes (SHAPE_PROPERTIES), or attributes
-        of the rods (`SolverDER.ROD_PROPERTIES`, which starts the rods anew)."""
+        """Take up changed gravity (MODEL_PROPERTIES), shapes (SHAPE_PROPERTIES), or attributes of
+        the rods (`SolverDER.ROD_PROPERTIES`): docs/newton.md says for which of them rods go on, so
+        that a graph of steps may be launched again, and for which they start anew."""
         flags = int(flags)
-        if flags & (self.ROD_PROPERTIES | int(newton.ModelFlags.SHAPE_TYPE_AND_SOURCE)):
+        anew = flags & int(newton.ModelFlags.SHAPE_TYPE_AND_SOURCE) != 0
+        if flags & self.ROD_PROPERTIES:
+            # Steps on a tape go back through what they were taken with.
+            anew |= self.model.requires_grad
+            anew = anew or not all([group.refresh_elasticity() for group in self._groups])
+        if anew:
             self._build()
             return
         for group in self._groups:

@@ -182,10 +182,12 @@ class Dynamics(NewtonSteps):
     @arguments.checked(RodError, drag=arguments.numbers_of_any_shape)
     def set_drag(self, drag: np.ndarray) -> None:
         """Drag of each node per velocity, and per velocity squared, on top of `air_damping`:
-        (rod, node, 2), broadcast. Before the first step."""
+        (rod, node, 2), broadcast. The first time before the first step."""
         shape = (self.batch.rod_count, self.batch.node_count, 2)
         drag = np.ascontiguousarray(arguments.spread(drag, shape, "Dynamics: drag", RodError))
-        self.drag = wp.array(drag, dtype=wp.vec2d, device=self.batch.device)
+        if self.drag is None:
+            self.drag = wp.zeros(shape[:2], dtype=wp.vec2d, device=self.batch.device)
+        self.drag.assign(drag)
 
     def energy(self) -> np.ndarray:
         """(rod,) kinetic plus potential energy, without that of contacts."""

@@ -30,9 +30,31 @@ class Viscosity:
 
     def __init__(self, batch: RodBatch, time: np.ndarray | float):
         self.batch, device = batch, batch.device
-        shape = (batch.rod_count, batch.node_count, 4)
+        shape = (batch.rod_count, batch.node_count)
+        self.time = wp.zeros(shape, dtype=wp.vec4d, device=device)
+        # (rod,) of the stretching: rounding in stiff edges grows with it.
+        self.stretching_time = wp.zeros(shape[0], dtype=wp.float64, device=device)
+        self.set_time(time)
+        each = np.ndim(time) > 1
+        self.exists = each or bool(np.any(time))
+        self.model = None
+        if not self.exists:
+            return
+        model = batch.elastic_model
+        own = {name: wp.clone(getattr(model, name)) for name in ElasticModel.vars}
+        self.model = filled(ElasticModel(), own)
+        self.strain, self.strain_older = (
+            wp.zeros(shape, dtype=wp.vec4d, device=device) for _ in range(2)
+        )
+
+    def set_time(self, time: np.ndarray | float) -> None:
+        """Another Kelvin-Voigt time, given as before.
+
+        Raises:
+            RodError: as above.
+        """
+        shape = (*self.time.shape, 4)
         time = np.asarray(time, dtype=float)
-        each = time.ndim > 1
         if time.ndim == 1:
             time = time[:, None, None]
         try:
@@ -43,19 +65,8 @@ class Viscosity:
             ) from None
         if not (np.isfinite(time) & (time >= 0)).all():
             raise RodError("internal damping must be finite and not negative")
-        self.time = wp.array(np.ascontiguousarray(time), dtype=wp.vec4d, device=device)
-        # (rod,) of the stretching: rounding in stiff edges grows with it.
-        self.stretching_time = wp.array(time[:, :, 3].max(axis=1), dtype=wp.float64, device=device)
-        self.exists = each or bool(time.any())
-        self.model = None
-        if not self.exists:
-            return
-        model = batch.elastic_model
-        own = {name: wp.clone(getattr(model, name)) for name in ElasticModel.vars}
-        self.model = filled(ElasticModel(), own)
-        self.strain, self.strain_older = (
-            wp.zeros(shape[:2], dtype=wp.vec4d, device=device) for _ in range(2)
-        )
+        self.time.assign(np.ascontiguousarray(time))
+        self.stretching_time.assign(time[:, :, 3].max(axis=1))
 
     def _launch(self, kernel, columns: int, inputs: list, outputs: list) -> None:
         batch = self.batch
