@@ -33,7 +33,8 @@ def make_filling(matrix: type, entry: wp.Function) -> wp.Kernel:
                     out[c, d] = ONE
         return out
 
-    @wp.kernel(module="unique", enable_backward=False)
+    # Unrolled, `entry` is written out 32 times, which takes a GPU's compiler 40 s.
+    @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
     def fill(
         # State in:
         skyline: Skyline,

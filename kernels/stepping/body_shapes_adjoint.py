@@ -19,7 +19,8 @@ from wrod.kernels.stepping.body_adjoint import WantedBodies, part
 from wrod.kernels.stepping.body_shapes import Carried
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
-wp.set_module_options({"enable_backward": False})
+# Unrolled, its loops take a GPU's compiler two or three times as long.
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.struct
