@@ -10,6 +10,7 @@ import io
 import os
 import socket
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,9 @@ _FLOOR = (0.647, 0.667, 0.69)
 _INK = (26, 56, 140)
 _COLOURS = "green: on the pattern; red: a centimetre off"
 _LINE = 0.045  # of what is seen, between the captions' lines
+# Viser's page has no name, and cuts off both sides where it is high and narrow, as on a phone.
+_HEAD = "<title>Viser</title>"
+_STYLE = "<style>#root {height: min(100vh, 160vw) !important}</style>"
 
 
 @needed_extras()
@@ -114,10 +118,15 @@ def write_deployment_page(
                     label.text += f", {100 * laid[k]:.1f} cm laid"
             recording.insert_sleep(duration / max(count - 1, 1))
         page = recording.as_html(dark_mode=False)
+        page = page.replace(_HEAD, f"<title>{escape(_name(trajectory))}</title>{_STYLE}", 1)
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
     return write_text(out, page)
+
+
+def _name(trajectory) -> str:
+    return str(trajectory.metadata.get("pattern", "pattern"))
 
 
 def _length_laid(trajectory, joint_path, onward, at: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -240,8 +249,7 @@ def _captions(server, trajectory, joint_path, captions, placement, seen: np.ndar
     """Write lines above all that is seen (n, 3) [m], the clock first, and look at both."""
     said = [
         "0.0 s",
-        f"{trajectory.metadata.get('pattern', 'pattern')}: "
-        f"{trajectory.arc_length[-1]:.3f} m of rod laid"
+        f"{_name(trajectory)}: {trajectory.arc_length[-1]:.3f} m of rod laid"
         + ("" if joint_path is None else f" by {joint_path.robot.name}"),
         *(captions or []),
     ]
@@ -249,7 +257,9 @@ def _captions(server, trajectory, joint_path, captions, placement, seen: np.ndar
     over = np.append(trajectory.contact.mean(0)[:2], seen[:, 2].max())
     places = over + step * np.arange(len(said), 0, -1)[:, None] * [0.0, 0.0, 1.0]
     labels = [
-        server.scene.add_label(f"/captions/{number}", text, position=tuple(place))
+        server.scene.add_label(
+            f"/captions/{number}", text, position=tuple(place), anchor="top-center"
+        )
         for number, (text, place) in enumerate(zip(said, places, strict=True))
     ]
     _aim(server.initial_camera, placement, np.vstack([seen, places[0] + [0.0, 0.0, step]]))
