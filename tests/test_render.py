@@ -81,7 +81,7 @@ def test_command_draws_frames_and_stills(tmp_path, scene):
 @pytest.mark.parametrize(
     "arguments, says",
     [
-        (["--camera", "left"], "no camera 'left'; its cameras are top, perspective"),
+        (["--camera", "left"], "no camera 'left'; its cameras are top, perspective, work"),
         (["--hide", "unicorn"], "no prim is named unicorn"),
         (["--frames", "0"], "0 is not in the range 1<=x<=10000"),
         (["--size", "0x9"], "picture size 0 x 9"),

@@ -61,7 +61,7 @@ def test_stage_is_small_metric_and_self_contained(scene, letter):
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0.0, len(letter) - 1.0)
     assert len(stage.GetUsedLayers()) <= 2 and stage.GetDefaultPrim().GetName() == "World"
     cameras = {p.GetName() for p in stage.Traverse() if p.IsA(UsdGeom.Camera)}
-    assert cameras == {"top", "perspective"}
+    assert cameras == {"top", "work", "perspective"}
 
 
 def test_links_gripper_and_rod_are_the_arrays_at_every_time_code(scene, letter, letter_path):

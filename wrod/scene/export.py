@@ -18,7 +18,7 @@ from wrod.scene.arm import add_arm, add_visuals
 from wrod.scene.phases import covered, falling, film, rods_of
 from wrod.scene.primitives import Materials, set_pose
 from wrod.scene.rod_shapes import POINTS
-from wrod.scene.stage import add_cameras, add_lights, new_stage
+from wrod.scene.stage import add_cameras, add_lights, add_view, new_stage
 from wrod.scene.workplace import (
     BASE_HEIGHT,
     add_floor,
@@ -76,8 +76,8 @@ def export_usd(
 
     Under /World/Deployment_000: `robot` (its links as nested Xforms) or, without a joint path, the
     `gripper` alone; `table`, `pattern`, `rod`, `grip_path`; the plan's figures as custom data and
-    the attributes `wrod:arcLength` [m], `wrod:time` [s] and `wrod:phase` over time. Cameras `top`
-    and `perspective` are under /World/Cameras.
+    the attributes `wrod:arcLength` [m], `wrod:time` [s] and `wrod:phase` over time. Cameras `top`,
+    `work` (rod and hand) and `perspective` are under /World/Cameras.
 
     Each argument may be a sequence, one entry per deployment; they are then laid out in a
     grid, each turned so that its arm faces +x.
@@ -137,12 +137,9 @@ def _surround(stage, deployments, points: np.ndarray, floor: float, materials) -
     add_floor(stage, (low + high)[:2] / 2, (high - low)[:2] + 2 * room, floor, materials)
     add_lights(stage)
     patterns = np.concatenate([item.corners for item in deployments])
-    add_cameras(
-        stage,
-        points,
-        deployments[0].front,
-        np.stack([patterns.min(0) - 0.10, patterns.max(0) + 0.10]),
-    )
+    corners = np.stack([patterns.min(0) - 0.10, patterns.max(0) + 0.10])
+    back = add_cameras(stage, points, deployments[0].front, corners)
+    add_view(stage, "work", np.concatenate([patterns, *(item.way for item in deployments)]), back)
 
 
 def _deployments(**given) -> list[SimpleNamespace]:
@@ -287,7 +284,7 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
         feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
         seen.append((base @ robot.mount)[:3, 3] + feet)
     item.front = item.turn[:2, :2] @ front
-    item.corners = item.points @ item.turn.T + shift
+    item.corners, item.way = item.points @ item.turn.T + shift, way @ item.turn.T + shift
     figures = {**trajectory.metadata}
     if joint_path is not None:
         figures["joint_path"] = joint_path.metadata

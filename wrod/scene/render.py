@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ _SKY, _GROUND = (0.50, 0.51, 0.55), (0.20, 0.19, 0.18)
 _SUN = (-0.35, 0.40, -0.85)
 _BACKGROUND = (226, 230, 236)
 _MOMENT = (720, 540)  # of each of the four of a scene
+_GUTTER = ((2, 2), (2, 2), (0, 0))  # of white about each
 
 
 class Renderer:
@@ -49,7 +51,6 @@ class Renderer:
         from wrod.scene.newton_model import NewtonScene
 
         self.scene = NewtonScene(path, hidden)
-        self._camera = self.scene.camera(camera)
         self._sensor = SensorCamera(self.scene.model)
         self._sensor.create_default_light(
             direction=wp.normalize(wp.vec3(*_SUN)), color=(0.72, 0.71, 0.68)
@@ -64,10 +65,16 @@ class Renderer:
             ),
         )
         device = self.scene.model.device
-        self._rays = SensorCamera.compute_camera_rays_pinhole_usd(
-            *size, self._camera, sample_count=samples, device=device
+        self._rays_of = partial(
+            SensorCamera.compute_camera_rays_pinhole_usd, *size, sample_count=samples, device=device
         )
         self._color = self._sensor.allocate_image_color(1, *size)
+        self.look(camera)
+
+    def look(self, camera: str) -> None:
+        """Draw through another camera from now on."""
+        self._camera = self.scene.camera(camera)
+        self._rays = self._rays_of(self._camera)
 
     def frame(self, time: float) -> np.ndarray:
         """(height, width, 3) picture at a time code, uint8 RGB."""
@@ -110,7 +117,7 @@ def render(
     Args:
         path: the stage.
         out: a .png file for one picture, or a folder for `<camera>_0000.png` ...
-        camera: name of a camera on the stage: "top" or "perspective" of `export_usd`.
+        camera: name of a camera on the stage: "top", "work" or "perspective" of `export_usd`.
         frames: how many, evenly from first to last time code; one is the last.
         size: width and height [pixels].
         hidden: names of prims to leave out.
@@ -139,18 +146,21 @@ def render(
 
 @needed_extras()
 def four_moments(scene: Path) -> np.ndarray:
-    """(height, width, 3) four moments of a scene, seen in perspective, uint8 RGB.
+    """(height, width, 3) four moments of a scene, uint8 RGB: all of it, rod and hand twice, and
+    from above what lies in the end.
 
     Raises:
         SceneError: see `wrod.scene.render.Renderer`.
     """
-    renderer = Renderer(scene, "perspective", _MOMENT)
+    renderer = Renderer(scene, "perspective", _MOMENT, ("grip_path",))
     codes = time_codes(renderer.scene.start, renderer.scene.end, 4)
     if len(codes) < 4:
         raise SceneError(f"{scene}: has too few time codes for four pictures")
-    first, second, third, fourth = (renderer.frame(float(code)) for code in codes)
-    rows = [np.hstack([first, second]), np.hstack([third, fourth])]
-    return np.vstack(rows)
+    pictures = []
+    for camera, code in zip(("perspective", "work", "work", "top"), codes, strict=True):
+        renderer.look(camera)
+        pictures.append(np.pad(renderer.frame(float(code)), _GUTTER, constant_values=255))
+    return np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])
 
 
 def save_png(path: str | os.PathLike[str], picture: np.ndarray) -> Path:

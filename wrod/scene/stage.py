@@ -52,13 +52,16 @@ def add_camera(stage, name: str, eye, target, up=(0.0, 0.0, 1.0), fov: float = 4
     return camera
 
 
-def add_cameras(stage, points: np.ndarray, front: np.ndarray, pattern: np.ndarray) -> None:
+def add_cameras(stage, points: np.ndarray, front: np.ndarray, pattern: np.ndarray) -> np.ndarray:
     """`top`, high over the pattern, and `perspective` on everything.
 
     Args:
         points: (n, 3) of what `perspective` must see [m].
         front: (2,) horizontal direction that the robot faces.
         pattern: (2, 3) corners of what `top` must see [m].
+
+    Returns:
+        (3,) whence `perspective` looks.
     """
     corners = np.asarray(pattern, dtype=float)
     fov, middle = 14.0, corners.mean(0)
@@ -68,8 +71,9 @@ def add_cameras(stage, points: np.ndarray, front: np.ndarray, pattern: np.ndarra
     eye = (middle[0], middle[1], corners[:, 2].max() + height)
     add_camera(stage, "top", eye, middle, (0.0, 1.0, 0.0), fov)
 
-    side = np.array([front[1], -front[0]])
-    add_view(stage, "perspective", points, [*(0.80 * front + 0.95 * side), 0.50])
+    back = np.array([*(0.80 * front + 0.95 * np.array([front[1], -front[0]])), 0.50])
+    add_view(stage, "perspective", points, back)
+    return back
 
 
 def add_view(stage, name: str, points: np.ndarray, back, later: dict | None = None) -> None:
