@@ -4,7 +4,7 @@ import math
 import pytest
 
 import wrod
-from wrod.errors import RodError
+from wrod.errors import RodError, WrodWarning
 
 
 def test_table_2_stretch_ratio_is_the_section_ratio():
@@ -91,3 +91,9 @@ def test_bad_rod_files_are_named(tmp_path, content, says):
     path.write_text(content)
     with pytest.raises(RodError, match=rf"rod\.json: .*{says}"):
         wrod.load_rod(path)
+
+
+@pytest.mark.parametrize(("radius", "lgb", "length"), [(1.6, 32.0, 885.0), (1.6e-3, 0.032, 885.0)])
+def test_a_rod_in_millimetres_is_asked_after(radius, lgb, length):
+    with pytest.warns(WrodWarning, match="millimetres"):
+        wrod.RodMaterial(radius, lgb, length)

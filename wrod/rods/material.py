@@ -4,10 +4,11 @@ Parameters and Table 2)."""
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 
 from wrod import arguments
-from wrod.errors import RodError
+from wrod.errors import RodError, WrodWarning
 
 # Height of the loop of a heavy rod over its gravito-bending length: the heavy elastica's and a
 # discrete rod's (tests/physics/test_loop.py). The paper's 0.9066 belongs to
@@ -26,6 +27,9 @@ _BOUNDS = {
 # L_gb and length over the radius [-]: with less, what bends is a lump and no rod. A gel of 50 kPa
 # and 1 cm radius has an L_gb of 3.9 radii.
 _SLENDER = {"gravito_bending_length": 2.0, "length": 10.0}
+# What is thicker or longer was more likely meant in millimetres, which as a whole are refused by no
+# bound: they are a rod of a thousand times the modulus, and there are pipes of that [m].
+_THICK, _LONG = 0.1, 100.0
 # Nothing has a larger Young's modulus [Pa].
 _STIFFEST = 2e12
 
@@ -75,6 +79,9 @@ class RodMaterial:
     Raises:
         RodError: a value is not finite, not positive, or Poisson's ratio is outside (-1, 0.5]; L_gb
             is under 2 or the length under 10 radii; it bends at rest tighter than its radius.
+
+    Warns:
+        WrodWarning: it is thicker than 20 cm or longer than 100 m.
     """
 
     radius: float
@@ -120,6 +127,12 @@ class RodMaterial:
                 f"{self.radius:g} m and a density of {self.density:g} kg/m^3: a Young's modulus of "
                 f"{self.youngs_modulus:.2g} Pa, stiffer than diamond; check the numbers' units"
             )
+        if self.radius > _THICK or self.length > _LONG:
+            said = (
+                f"a rod of {self.radius:g} m in radius and {self.length:g} m in length, with an "
+                f"L_gb of {self.gravito_bending_length:g} m (millimetres?)"
+            )
+            warnings.warn(WrodWarning(said), stacklevel=4)
 
     @classmethod
     @arguments.checked(RodError)
