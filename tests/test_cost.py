@@ -1,6 +1,9 @@
 """Costs are said before the work, and refused where the machine has not that much."""
 
 import math
+import sys
+import threading
+from types import SimpleNamespace
 
 import click
 import pytest
@@ -83,3 +86,21 @@ def test_costs_grow_with_the_work():
     assert cost.pictures(4, 200, 100).seconds > cost.pictures(4, 100, 100).seconds
     small = cost.training(10, 64, 32, 3, 1000, device="cpu")
     assert cost.training(10, 64, 64, 3, 1000, device="cpu").seconds > small.seconds
+
+
+def test_a_bar_that_nothing_moves_shows_that_time_goes_on(monkeypatch):
+    shown = threading.Event()
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with cost.ticking(SimpleNamespace(refresh=shown.set)):
+        assert shown.wait(30.0)
+
+
+def test_kernels_that_have_to_be_compiled_first_are_said(tmp_path, monkeypatch, capsys):
+    said = cost._say_that_kernels_are_compiled.__wrapped__
+    warp = SimpleNamespace(config=SimpleNamespace(kernel_cache_dir=str(tmp_path)))
+    monkeypatch.setitem(sys.modules, "warp", warp)
+    said()
+    assert "`wrod compile`" in capsys.readouterr().err
+    (tmp_path / "wp_wrod.kernels.lanes_1").mkdir()
+    said()
+    assert capsys.readouterr().err == ""

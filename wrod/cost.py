@@ -3,8 +3,11 @@
 import os
 import shutil
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import click
@@ -99,7 +102,36 @@ def progress_bar(*arguments, **options):
     pace, wait = (0.1, 0.0) if watched else (10.0, 10.0)
     options = {"mininterval": pace, "delay": wait, "leave": False} | options
     bar: Callable = tqdm
+    _say_that_kernels_are_compiled()
     return bar(*arguments, disable=bool(asked("json")), **options)
+
+
+@cache
+def _say_that_kernels_are_compiled() -> None:
+    """Where Warp has none of ours yet: a first run takes minutes where the next take seconds."""
+    warp = sys.modules.get("warp")
+    if warp is None or asked("json") or any(Path(warp.config.kernel_cache_dir).glob("wp_wrod*")):
+        return
+    said = "wrod: kernels are compiled on the way, once on this machine, for up to two minutes"
+    click.echo(f"{said} (`wrod compile` does it beforehand)", err=True)
+
+
+@contextmanager
+def ticking(bar) -> Iterator[None]:
+    """While something is done that moves no bar, let this one show that time goes on."""
+    ended, pace = threading.Event(), 1.0 if sys.stderr.isatty() else 10.0
+
+    def tick() -> None:
+        while not ended.wait(pace):
+            bar.refresh()
+
+    thread = threading.Thread(target=tick, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def counting(bar) -> Callable[[int, int], None]:

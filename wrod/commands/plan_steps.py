@@ -21,7 +21,7 @@ def solve_grasps_of(
     from wrod.deployment.simulate import with_remainder_of
     from wrod.planning.shapes import with_shapes
 
-    with cost.progress_bar(unit="grasp", delay=1.0, desc="grasps") as bar:
+    with cost.progress_bar(unit="grasp", delay=1.0, desc="grasps") as bar, cost.ticking(bar):
         progress = cost.counting(bar)
         trajectory = plan(
             fitted.pattern, fitted.rod, method, device=device, progress=progress,
@@ -125,7 +125,7 @@ def arm_steps(request, out: Path, trajectory, curve, rod, planned, shaping, expe
     from wrod.robot.solve import UnreachedError
     from wrod.scene.deliver import deliver
 
-    with cost.progress_bar(total=5, unit="step", delay=1.0) as steps:
+    with cost.progress_bar(total=5, unit="step", delay=1.0) as steps, cost.ticking(steps):
 
         def step(what: str) -> None:
             steps.set_description(what)
