@@ -180,10 +180,10 @@ def command(
     Corners are rounded to what the rod can lie in. What is finished is kept: without a joint path
     the trajectory and its picture are written all the same, and the exit code is 3.
     """
-    how, chosen = grasps.read(), None if device == "auto" else device
+    friction, how, chosen = grasps.friction(), grasps.read(), None if device == "auto" else device
     request = request.check()
     draw_beside(not request.no_robot)
-    rod, drawn, friction = rod_options.read(), reading.read(pattern), grasps.friction()
+    rod, drawn = rod_options.read(), reading.read(pattern)
     # What takes a second to import, once nothing is left to refuse.
     from wrod.deployment.simulate import with_remainder_of
     from wrod.planning.remainder import lead_ins, prepare

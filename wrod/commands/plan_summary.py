@@ -154,13 +154,12 @@ def read_friction(text: str) -> float | tuple[float, float]:
         PatternError: it is none of these.
         DataError: the file is no table's.
     """
-    from wrod.deployment.spread import Spread
-    from wrod.deployment.table import TableFriction
+    from wrod.deployment.table import TableFriction, friction_range
 
     if text.lower().endswith(".json"):
         return TableFriction.load(text).interval
     friction = read_range(text, "friction", "0.3 or 0.2:0.6")
-    Spread.of(friction)  # refused before anything is planned
+    friction_range(friction)  # refused before anything is planned
     return friction
 
 

@@ -7,18 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wrod.deployment.setup import DEVIATIONS, Disturbance
-from wrod.errors import PatternError
+from wrod.deployment.table import friction_range
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 from wrod.solvers.contact import Friction
 
-# A single friction coefficient is taken to be known to this part.
-_UNCERTAIN = 0.1
 # Ranges of friction that call for more rods, by the largest over the least.
 _WIDE = 1.5
-# No table has a larger friction coefficient.
-_MOST = 100.0
 # Deviations of uniform variables, in those of normal ones whose middle 90 % they cover.
 _REACH = 1.65
 # Of the errors of L_gb and natural curvature of two pairs of rods: a half, in opposite corners.
@@ -51,24 +47,10 @@ class Spread:
 
     @classmethod
     def of(cls, friction: float | tuple[float, float] | Spread) -> Spread:
-        """That of a coefficient, known to a tenth, or of a range.
-
-        Raises:
-            PatternError: not positive, over 100, or the first is larger than the second.
-        """
+        """That of a coefficient or of a range; see `friction_range`."""
         if isinstance(friction, Spread):
             return friction
-        values = np.atleast_1d(np.asarray(friction, dtype=float))
-        if len(values) == 1:
-            values = values[0] * np.array([1.0 - _UNCERTAIN, 1.0 + _UNCERTAIN])
-        if len(values) != 2 or not (
-            np.isfinite(values).all() and 0 < values[0] <= values[1] <= _MOST
-        ):
-            raise PatternError(
-                f"friction is {friction!r}; give a positive coefficient or a range such as "
-                "(0.2, 0.6)"
-            )
-        return cls((float(values[0]), float(values[1])))
+        return cls(friction_range(friction))
 
     def sample(self, count: int, rod: RodModel | RodMaterial) -> list[tuple]:
         """(rod, friction, disturbance) of rods that cover it evenly, from low friction to high, in

@@ -8,10 +8,28 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.errors import DataError
+from wrod.errors import DataError, PatternError
 from wrod.files import read_json, schemas, write_json
 
 _FORMAT = "wrod-table-1"
+# A single friction coefficient is taken to be known to this part; no table has a larger one.
+_UNCERTAIN, _MOST = 0.1, 100.0
+
+
+def friction_range(friction: float | tuple[float, float]) -> tuple[float, float]:
+    """Least and largest coefficient [-] of one that is known to a tenth, or of a range.
+
+    Raises:
+        PatternError: not positive, over 100, or the first is larger than the second.
+    """
+    values = np.atleast_1d(np.asarray(friction, dtype=float))
+    if len(values) == 1:
+        values = values[0] * np.array([1.0 - _UNCERTAIN, 1.0 + _UNCERTAIN])
+    if len(values) != 2 or not (np.isfinite(values).all() and 0 < values[0] <= values[1] <= _MOST):
+        raise PatternError(
+            f"friction is {friction!r}; give a positive coefficient or a range such as (0.2, 0.6)"
+        )
+    return float(values[0]), float(values[1])
 
 
 @dataclass(frozen=True)
