@@ -125,7 +125,7 @@ def test_internal_damping_follows_the_rate_of_bending(traces):
     trace = traces["nothing"]
     best = trace.prints[0]
     assert best.name == "moment_with_strain_rate"
-    assert best.share > 0.9 and best.points_to == ("internal_damping",)
+    assert best.share > 0.9 and best.points_to == ("internal_damping", "relaxation")
     np.testing.assert_allclose(best.value, VISCOUS, rtol=0.15)
     # Nothing else is missing.
     assert np.median(trace.unexplained) < 0.03

@@ -14,7 +14,7 @@ from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node
 from wrod.kernels.linear.banded import banded_entry
 from wrod.kernels.stepping.dynamics import drag_force, drag_matrix, rate
 from wrod.kernels.stepping.pace import Pace
-from wrod.kernels.stepping.viscosity import strain
+from wrod.kernels.stepping.viscosity import strain, times_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -125,13 +125,13 @@ def elastic_tangents(
     stretching: wp.array2d(dtype=wp.float64),
     stiffness: wp.array2d(dtype=wp.vec3d),
     rest_strain: wp.array2d(dtype=wp.vec3d),
-    viscous_time: wp.array2d(dtype=wp.vec3d),
+    viscous_time: wp.array2d(dtype=wp.vec4d),
     softening: wp.array2d(dtype=wp.vec2d),
     rest_length_rate: wp.array2d(dtype=wp.float64),
     stretching_rate: wp.array2d(dtype=wp.float64),
     stiffness_rate: wp.array2d(dtype=wp.vec3d),
     rest_strain_rate: wp.array2d(dtype=wp.vec3d),
-    viscous_time_rate: wp.array2d(dtype=wp.vec3d),
+    viscous_time_rate: wp.array2d(dtype=wp.vec4d),
     softening_rate: wp.array2d(dtype=wp.vec2d),
     # State in:
     pace: Pace,
@@ -146,7 +146,8 @@ def elastic_tangents(
     # In and out: (rod x column, dof)
     right_hand_side: wp.array2d(dtype=wp.float64),
 ):
-    """Minus the rate of the elastic and viscous forces at a fixed configuration."""
+    """Minus the rate of the elastic and viscous forces at a fixed configuration; the last viscous
+    time is that in which viscous moments relax."""
     r, i, group = wp.tid()
     if pace.accepted[r] == 0:
         return
@@ -190,7 +191,7 @@ def elastic_tangents(
     b = stiffness[m, i]
     mean = HALF * (b[0] + b[1]) / length
     k_e, k_f, k_te, k_tf = invariant_gradient(s, first, second)
-    eta = viscous_time[m, i]
+    eta, relaxed = times_of(viscous_time[m, i], coefficient[0] / dt)
     total = (now + wp.cw_mul(eta, flow)) / length
     excess = total - rest_strain[m, i]
     law = softening[m, i]
@@ -208,7 +209,9 @@ def elastic_tangents(
             strain_tangent_older[r, j, i],
         )
         b_rate = stiffness_rate[q, i]
-        change = wp.cw_mul(viscous_time_rate[q, i], flow) + wp.cw_mul(eta, flow_rate)
+        t = viscous_time_rate[q, i]
+        eta_rate = wp.vec3d(t[0], t[1], t[2]) - (t[3] * coefficient[0] / dt) * eta
+        change = relaxed * wp.cw_mul(eta_rate, flow) + wp.cw_mul(eta, flow_rate)
         change = change / length - total * (length_rate / length) - rest_strain_rate[q, i]
         moment = wp.cw_mul(b_rate, excess) + wp.cw_mul(b, change)
         law_rate = softening_rate[q, i]
@@ -232,10 +235,10 @@ def stretch_damping_tangents(
     # Model:
     rest_length: wp.array2d(dtype=wp.float64),
     stretching: wp.array2d(dtype=wp.float64),
-    viscous_time: wp.array2d(dtype=wp.vec3d),
+    viscous_time: wp.array2d(dtype=wp.vec4d),
     rest_length_rate: wp.array2d(dtype=wp.float64),
     stretching_rate: wp.array2d(dtype=wp.float64),
-    viscous_time_rate: wp.array2d(dtype=wp.vec3d),
+    viscous_time_rate: wp.array2d(dtype=wp.vec4d),
     # State in:
     pace: Pace,
     dof: wp.array2d(dtype=wp.float64),

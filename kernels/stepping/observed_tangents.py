@@ -6,6 +6,8 @@ from wrod.kernels.elastic.curvature import component, stencil
 from wrod.kernels.elastic.frames import HALF, ONE
 from wrod.kernels.stepping.motion import frame_of
 from wrod.kernels.stepping.motion_tangents import column_node
+from wrod.kernels.stepping.pace import Pace
+from wrod.kernels.stepping.viscosity import measured, relaxed_strain
 
 wp.set_module_options({"enable_backward": False})
 
@@ -42,19 +44,38 @@ def measure_strain_tangents(
 
 @wp.kernel
 def shift_strain_tangents(
-    accepted: wp.array(dtype=wp.int32),
+    # Model:
+    viscous_time: wp.array2d(dtype=wp.vec4d),
+    viscous_time_rate: wp.array2d(dtype=wp.vec4d),
+    # State in:
+    pace: Pace,
+    dof: wp.array2d(dtype=wp.float64),
+    director: wp.array2d(dtype=wp.vec3d),
+    reference_twist: wp.array2d(dtype=wp.float64),
+    strain_before: wp.array2d(dtype=wp.vec4d),
+    strain_before_older: wp.array2d(dtype=wp.vec4d),
     strain_new: wp.array3d(dtype=wp.vec3d),
     per_thread: int,
     # In and out:
     strain: wp.array3d(dtype=wp.vec3d),
     strain_older: wp.array3d(dtype=wp.vec3d),
 ):
-    r, i, group = wp.tid()
-    if accepted[r] == 0:
+    """Rates of the strains that viscous moments remember (`viscosity.relax_strains`)."""
+    r, i_, group = wp.tid()
+    if pace.accepted[r] == 0:
         return
+    i = i_ + 1
+    c = pace.coefficient[r] / pace.step[r]
+    theta = viscous_time[wp.min(r, viscous_time.shape[0] - 1), i][3]
+    now = measured(dof, director, reference_twist, r, i)
+    new = relaxed_strain(c, theta, now, strain_before[r, i], strain_before_older[r, i])
+    flow = c[0] * new + c[1] * strain_before[r, i] + c[2] * strain_before_older[r, i]
     for j in range(group * per_thread, wp.min(strain.shape[1], (group + 1) * per_thread)):
+        past = c[1] * strain[r, j, i] + c[2] * strain_older[r, j, i]
+        moved = strain_new[r, j, i] - theta * past
+        moved -= viscous_time_rate[j, i][3] * wp.vec3d(flow[0], flow[1], flow[2])
         strain_older[r, j, i] = strain[r, j, i]
-        strain[r, j, i] = strain_new[r, j, i]
+        strain[r, j, i] = moved / (ONE + theta * c[0])
 
 
 @wp.func

@@ -9,6 +9,10 @@ spring k ((x - x0) + eta dx/dt) of x = |e| / l - 1 is one of another stiffness a
 rod that softens has the moment-curvature law of `wrod.kernels.elastic.softened_bending` in (s + eta
 ds/dt) / l - s0: with one eta for both bendings the elastic rod has the same law, its c times
 (1 + eta c_0 / dt)^2.
+
+Viscous moments that relax within a time theta, M + theta dM/dt = B eta ds/dt, are those of q = s -
+theta dq/dt in place of s (a spring in series with the dashpot: Zener's solid with the elastic one).
+So eta becomes eta / (1 + theta c_0 / dt), and what is remembered is q.
 """
 
 import warp as wp
@@ -34,6 +38,42 @@ def strain(
     return wp.vec3d(first.kappa, second.kappa, twist)
 
 
+@wp.func
+def measured(
+    dof: wp.array2d(dtype=wp.float64),
+    director: wp.array2d(dtype=wp.vec3d),
+    reference_twist: wp.array2d(dtype=wp.float64),
+    r: int,
+    i: int,
+) -> wp.vec4d:
+    """Strains of a node, none at the ends, and |e| of the edge after it."""
+    s = wp.vec3d(ZERO, ZERO, ZERO)
+    last = (dof.shape[1] + 1) / 4 - 1
+    if i > 0 and i < last:
+        s = strain(dof, director, reference_twist, r, i)
+    length = ZERO
+    if i < last:
+        length = wp.length(edge(dof, r, i))
+    return wp.vec4d(s[0], s[1], s[2], length)
+
+
+@wp.func
+def times_of(times: wp.vec4d, rate: wp.float64):
+    """Viscous times of bending and twisting as moments that relax leave them, and the share left,
+    for rates of (rate s)."""
+    relaxed = ONE / (ONE + times[3] * rate)
+    return relaxed * wp.vec3d(times[0], times[1], times[2]), relaxed
+
+
+@wp.func
+def relaxed_strain(
+    c: wp.vec3d, theta: wp.float64, now: wp.vec4d, before: wp.vec4d, older: wp.vec4d
+) -> wp.vec4d:
+    """q of strains `now`; `c`: of rates. Stretching does not relax."""
+    q = (now - theta * (c[1] * before + c[2] * older)) / (ONE + theta * c[0])
+    return wp.vec4d(q[0], q[1], q[2], now[3])
+
+
 @wp.kernel
 def measure_strains(
     # State in:
@@ -47,14 +87,33 @@ def measure_strains(
     r, i = wp.tid()
     if active[r] == 0:
         return
-    s = wp.vec3d(ZERO, ZERO, ZERO)
-    last = strain_out.shape[1] - 1
-    if i > 0 and i < last:
-        s = strain(dof, director, reference_twist, r, i)
-    length = ZERO
-    if i < last:
-        length = wp.length(edge(dof, r, i))
-    strain_out[r, i] = wp.vec4d(s[0], s[1], s[2], length)
+    strain_out[r, i] = measured(dof, director, reference_twist, r, i)
+
+
+@wp.kernel
+def relax_strains(
+    # State in:
+    accepted: wp.array(dtype=wp.int32),
+    coefficient: wp.array(dtype=wp.vec3d),
+    step: wp.array(dtype=wp.float64),
+    relaxation: wp.array2d(dtype=wp.float64),
+    dof: wp.array2d(dtype=wp.float64),
+    director: wp.array2d(dtype=wp.vec3d),
+    reference_twist: wp.array2d(dtype=wp.float64),
+    # State out:
+    strain_out: wp.array2d(dtype=wp.vec4d),
+    strain_older_out: wp.array2d(dtype=wp.vec4d),
+):
+    """What viscous moments that relax remember of an accepted step."""
+    r, i = wp.tid()
+    if accepted[r] == 0:
+        return
+    now = measured(dof, director, reference_twist, r, i)
+    before = strain_out[r, i]
+    older = strain_older_out[r, i]
+    theta = relaxation[wp.min(r, relaxation.shape[0] - 1), i]
+    strain_out[r, i] = relaxed_strain(coefficient[r] / step[r], theta, now, before, older)
+    strain_older_out[r, i] = before
 
 
 @wp.kernel
@@ -109,6 +168,7 @@ def flow_bending(
     # Model:
     model: ElasticModel,
     viscous_time: wp.array2d(dtype=wp.vec4d),
+    relaxation: wp.array2d(dtype=wp.float64),
     # State in:
     starting: wp.array(dtype=wp.int32),
     coefficient: wp.array(dtype=wp.vec3d),
@@ -129,6 +189,7 @@ def flow_bending(
     eta = viscous_time[r, i]
     c = coefficient[r]
     dt = step[r]
+    eta = eta / (ONE + relaxation[wp.min(r, relaxation.shape[0] - 1), i] * c[0] / dt)
     history = (c[1] * strain[r, i] + c[2] * strain_older[r, i]) / (dt * length)
     f1 = ONE + eta[0] * c[0] / dt
     f2 = ONE + eta[1] * c[0] / dt

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import eigh
+from scipy.linalg import eigh, expm
 from vps import momenta
 
 from wrod.errors import RodError
@@ -262,6 +262,19 @@ def test_internal_damping_of_a_cantilever(scheme):
         energies.append(energy[:, 0])
     rate = np.polyfit(time, np.log(energies[1] / energies[0]), 1)[0]
     assert rate == pytest.approx(b * omega**2, rel=0.02)
+
+
+def test_viscous_moments_that_relax_are_those_of_zeners_solid():
+    """A cantilever in its first mode: y'' = -omega^2 (y + m), m + theta m' = eta y', from rest
+    (Kelvin and Voigt's has theta = 0)."""
+    eta, theta, omega = 0.3, 0.3, ROOT**2
+    dynamics = Dynamics(cantilever(), scheme="bdf2", radius=0.01, internal_damping=eta)
+    dynamics.viscosity.relax(np.full((1, dynamics.batch.node_count), theta))
+    first = dynamics.batch.positions()[0, -1, 2]
+    time, tip, _ = vibrate(dynamics, 2.0, 100, 2)
+    rates = [[0.0, 1.0, 0.0], [-(omega**2), 0.0, -(omega**2)], [0.0, eta / theta, -1.0 / theta]]
+    expected = [(expm(np.array(rates) * t) @ [first, 0.0, 0.0])[0] for t in time]
+    assert np.abs(tip[:, 0] - expected).max() < 0.01 * first
 
 
 def straight_rod(nodes=21, gravity=(0.0, 0.0, 0.0), turned=0.0, length=1.0, stiffness=1e3):

@@ -207,7 +207,7 @@ class NewtonSteps(Steps):
         batch, start, dof = self.batch, self.start, self.batch.state.dof
         if self.follower is not None:
             self.follower.follow(self)
-        self.viscosity.finish(self.accepted)
+        self.viscosity.finish(self.accepted, self.coefficient, self.span)
         for contact in self.contacts:
             contact.settle(self.accepted, dof, start.dof)
         if self.bodies is not None:

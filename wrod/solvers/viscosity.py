@@ -34,6 +34,9 @@ class Viscosity:
         self.time = wp.zeros(shape, dtype=wp.vec4d, device=device)
         # (rod,) of the stretching: rounding in stiff edges grows with it.
         self.stretching_time = wp.zeros(shape[0], dtype=wp.float64, device=device)
+        # (1 or rod, node) in which viscous moments of bending and twisting relax.
+        self.relaxation = wp.zeros((1, shape[1]), dtype=wp.float64, device=device)
+        self.relaxes = False
         self.set_time(time)
         each = np.ndim(time) > 1
         self.exists = each or bool(np.any(time))
@@ -68,6 +71,22 @@ class Viscosity:
         self.time.assign(np.ascontiguousarray(time))
         self.stretching_time.assign(time[:, :, 3].max(axis=1))
 
+    def relax(self, time: np.ndarray) -> None:
+        """Let viscous moments of bending and twisting relax, from none where the rods are now.
+
+        Args:
+            time: (1 or rod, node) [time]; there are to be strains (`exists`).
+        """
+        self.relaxes = True
+        self.relaxation = wp.array(time, dtype=wp.float64, device=self.batch.device)
+        self._measure(self.batch.every_rod)
+        wp.copy(self.strain_older, self.strain)
+
+    def _measure(self, chosen: wp.array) -> None:
+        s, nodes = self.batch.state, self.batch.node_count
+        places = [chosen, s.dof, s.director, s.reference_twist]
+        self._launch(kernels.measure_strains, nodes, places, [self.strain])
+
     def _launch(self, kernel, columns: int, inputs: list, outputs: list) -> None:
         batch = self.batch
         dim = (batch.rod_count, columns)
@@ -77,13 +96,8 @@ class Viscosity:
         """Let the rest shape of the rods that start a step flow as their history says."""
         if not self.exists:
             return
-        state = self.batch.state
-        self._launch(
-            kernels.measure_strains,
-            self.batch.node_count,
-            [starting, state.dof, state.director, state.reference_twist],
-            [self.strain],
-        )
+        if not self.relaxes:
+            self._measure(starting)
         self.flow(starting, coefficient, step, self.strain, self.strain_older)
 
     def flow(
@@ -98,17 +112,21 @@ class Viscosity:
         if not self.exists:
             return
         nodes = self.batch.node_count
-        inputs = [self.batch.elastic_model, self.time]
-        inputs += [starting, coefficient, step, strain, strain_older]
-        self._launch(kernels.flow_stretching, nodes - 1, inputs, [self.model])
+        model = [self.batch.elastic_model, self.time]
+        past = [starting, coefficient, step, strain, strain_older]
+        self._launch(kernels.flow_stretching, nodes - 1, [*model, *past], [self.model])
+        inputs = [*model, self.relaxation, *past]
         self._launch(kernels.flow_bending, nodes - 2, inputs, [self.model])
 
-    def finish(self, accepted: wp.array) -> None:
+    def finish(self, accepted: wp.array, coefficient: wp.array, step: wp.array) -> None:
         """Carry the strains of accepted steps over to the next."""
-        if self.exists:
-            self._launch(
-                kernels.shift_strains,
-                self.batch.node_count,
-                [accepted, self.strain],
-                [self.strain_older],
-            )
+        if not self.exists:
+            return
+        s, nodes = self.batch.state, self.batch.node_count
+        if self.relaxes:
+            inputs = [accepted, coefficient, step, self.relaxation]
+            inputs += [s.dof, s.director, s.reference_twist]
+            self._launch(kernels.relax_strains, nodes, inputs, [self.strain, self.strain_older])
+        else:
+            inputs = [accepted, self.strain]
+            self._launch(kernels.shift_strains, nodes, inputs, [self.strain_older])

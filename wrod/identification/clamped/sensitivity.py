@@ -165,10 +165,11 @@ class Sensitivity:
                 for two, one in zip(bent, twisted, strict=True)
             )
             given = of["rest_length"], of["stretching_stiffness"], stiffness, strain
-            kinds = wp.float64, wp.float64, wp.vec3d, wp.vec3d, wp.vec3d, wp.vec2d
+            kinds = wp.float64, wp.float64, wp.vec3d, wp.vec3d, wp.vec4d, wp.vec2d
+            none = np.zeros((*strain.shape[:-1], 4))
             return [
                 wp.array(value.reshape(-1, *value.shape[axes:]), dtype=kind, device=device)
-                for value, kind in zip((*given, 0.0 * strain, of["softening"]), kinds, strict=True)
+                for value, kind in zip((*given, none, of["softening"]), kinds, strict=True)
             ]
 
         # A processor's core takes all columns of a node, a GPU's threads one each.

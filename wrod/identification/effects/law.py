@@ -84,3 +84,17 @@ class InternalDamping(Effect):
     kinds = ("motion",)
     adds = "viscous_time"
     parameters = (Parameter("viscous_time", "s", 0.1, lower=0.0),)
+
+
+class Relaxation(Effect):
+    """A material whose viscous moments fade while it stays bent, as soft plastics do."""
+
+    name = "relaxation"
+    title = "time in which viscous moments relax (Zener's solid)"
+    reference = (
+        "M = B k + m, m + theta dm/dt = B eta dk/dt: at frequencies over 1 / theta rather stiffer "
+        "by eta / theta than damped"
+    )
+    kinds = ("motion",)
+    adds = "relaxation_time"
+    parameters = (Parameter("relaxation_time", "s", 0.05, lower=0.0),)

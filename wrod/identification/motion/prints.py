@@ -191,7 +191,7 @@ def _hypotheses(seen: InverseMotion, arc_length: np.ndarray) -> list[_Hypothesis
         ),
         _Hypothesis(
             "moment_with_strain_rate", "moment that follows the rate of bending, as a viscous time",
-            "s", ("internal_damping",), ("viscous time",), 0.03,
+            "s", ("internal_damping", "relaxation"), ("viscous time",), 0.03,
             (-np.max(setup.viscous_time), 1.0), of(ProbedProfile("viscous_time", 0.03)), even,
         ),
         _Hypothesis(

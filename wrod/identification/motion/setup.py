@@ -36,6 +36,7 @@ class MotionSetup(RodSetup):
         viscous_time: (n + 1, 3) Kelvin-Voigt time of bending (two directions) and twisting [s], the
             first of stretching, too; the moment that softens is that of the strain and its rate
             times it.
+        relaxation_time: (n + 1,) in which viscous moments of bending and twisting relax [s].
         clamp_length: (2,) length inside each grip that still bends [m]; negative: of the free
             length, that does not.
         marker_offset: (M, 3) of every marker from the centreline, components along (m1, m2, t) [m].
@@ -51,6 +52,7 @@ class MotionSetup(RodSetup):
     linear_drag: np.ndarray
     quadratic_drag: np.ndarray
     viscous_time: np.ndarray
+    relaxation_time: np.ndarray
     clamp_length: np.ndarray
     marker_offset: np.ndarray
     roll: np.ndarray
@@ -94,6 +96,7 @@ class MotionSetup(RodSetup):
             linear_drag=np.zeros(n),
             quadratic_drag=np.zeros(n),
             viscous_time=np.zeros((n, 3)),
+            relaxation_time=np.zeros(n),
             clamp_length=np.zeros(2),
             marker_offset=np.zeros((len(place), 3)),
             roll=np.zeros(2),
@@ -146,7 +149,7 @@ class MotionSetup(RodSetup):
             "stretching": here["stretching_stiffness"],
             "stiffness": np.c_[here["bending_stiffness"], here["twisting_stiffness"]],
             "rest_strain": np.c_[here["natural_curvature"], here["natural_twist"]],
-            "viscous_time": self.viscous_time,
+            "viscous_time": np.c_[self.viscous_time, self.relaxation_time],
             "softening": here["softening"],
             "mass": mass,
             "linear_drag": self.linear_drag * length,

@@ -161,6 +161,8 @@ class MotionRun:
             force_scale=mass.sum() * np.linalg.norm(values["gravity"], axis=-1).mean(),
             tolerance=_TOLERANCE,
         )
+        if (relaxation := values["viscous_time"][None, :, 3]).any():
+            self.dynamics.viscosity.relax(relaxation)
         self.dynamics.set_drag(np.stack([values["linear_drag"], values["quadratic_drag"]], axis=1))
         self.dynamics.follower, self.dynamics.max_iterations = self, _MAX_ITERATIONS
         # Windows are predicted with the steps that their frames give.

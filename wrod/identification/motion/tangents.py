@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 COMPLEX_STEP = 1e-30
 # Inertia of an edge about its axis, per line mass: far too small to be seen.
 SPIN_INERTIA = 1e-7
-_KINDS = dict.fromkeys(
-    ("stiffness", "rest_strain", "viscous_time", "gravity", "marker_offset"), wp.vec3d
-) | {"softening": wp.vec2d}
+_KINDS = dict.fromkeys(("stiffness", "rest_strain", "gravity", "marker_offset"), wp.vec3d) | {
+    "softening": wp.vec2d,
+    "viscous_time": wp.vec4d,
+}
 
 
 def kind_of(key: str) -> type:
@@ -216,8 +217,8 @@ class Tangents:
             + [pace, batch.state.dof, *history[:2], self.now, self.older, self.per_thread],
             [self.x],
         )  # fmt: skip
-        viscosity = dynamics.viscosity
-        self._elastic(pace, viscosity.strain, viscosity.strain_older)
+        past = [dynamics.viscosity.strain, dynamics.viscosity.strain_older]
+        self._elastic(pace, *past)
         self._hold(pace, self.step_held)
         rows = min(7 + HALF_BANDWIDTH, batch.dof_count)
         self._launch(
@@ -236,8 +237,10 @@ class Tangents:
         self._strains(accepted, self.strain_new)
         self._launch(
             observed_tangents.shift_strain_tangents,
-            (batch.node_count, self.groups),
-            [accepted, self.strain_new, self.per_thread],
+            (batch.node_count - 2, self.groups),
+            [model["viscous_time"], self.model["viscous_time"], pace, batch.state.dof]
+            + [batch.state.director, batch.state.reference_twist, *past]
+            + [self.strain_new, self.per_thread],
             [self.strain, self.strain_older],
         )
 
