@@ -353,3 +353,16 @@ def test_an_identification_that_was_stopped_goes_on(measured, tmp_path, monkeypa
         Remembered(steps, with_test(measured, np.array([0, 5])))
     remembered.forget()
     assert not steps.exists()
+
+
+def test_of_what_is_as_good_the_one_with_fewest_parameters_goes_ahead():
+    """5.998 and 6.005 mm decided whether the hard block of a cable was predicted to 12 or 13 mm."""
+
+    def one(name, parameters, validation):
+        values = np.zeros(parameters)
+        return selection._Fitted(name, values, None, None, None, validation)
+
+    profile, law = one("profile", 3, 5.998), one("law", 2, 6.005)
+    worse, worst = one("one", 1, 6.2), one("drag", 1, 9.9)
+    found = selection._in_order([worst, worse, profile, law])
+    assert [f.model for f in found] == ["law", "profile", "one", "drag"]

@@ -5,7 +5,8 @@ are ranked by the misfit that they promise to take away in the problem linearise
 model. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them with the least
 error on whole validation recordings are fitted, and so is the most promising one: laws of bending
 come to what they promise in many steps only. The best joins if it lowers that error by
-`LEAST_GAIN` or more against the present model that was fitted on, too. What mesh and time step lack
+`LEAST_GAIN` or more against the present model that was fitted on, too; of some that differ by less,
+the one with the fewest parameters. What mesh and time step lack
 in the present model's predictions is added to all of them, and found anew for an effect that is to
 join: one that makes up for edges and steps gains nothing. The rounds end when none joins, when no
 more is left than noise leaves, or after `MOST_EFFECTS`. Then every
@@ -257,7 +258,7 @@ class _Selection:
             Candidate(e.name, p, found[e.name].validation if e.name in found else float("nan"))
             for p, e, *_ in ranked
         ]
-        now, best, reason = self._best(now, sorted(found.values(), key=lambda t: t.validation))
+        now, best, reason = self._best(now, _in_order(list(found.values())))
         if best is None:
             self._note(now.model, now, rows, reason)
             return now, False
@@ -270,11 +271,16 @@ class _Selection:
         """The present model, fitted on, the first of the others that is worth its effect, and why.
 
         Args:
-            found: with one effect more each, the best ahead.
+            found: with one effect more each, as `_in_order` has them.
         """
-        gain = 1.0 - found[0].validation / now.validation
-        if not gain >= LEAST_GAIN:
-            return now, None, f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
+
+        def short() -> str:
+            gain = 1.0 - min(t.validation for t in found) / now.validation
+            less = f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
+            return "" if gain >= LEAST_GAIN else less
+
+        if short():
+            return now, None, short()
         # Others were fitted on from the present model: what further steps bring is not theirs.
         now = min(now, self._resolved(now.model, now.values), key=lambda t: t.validation)
         few = _some(np.arange(len(now.predicted)), _SHAKEN)
@@ -287,8 +293,7 @@ class _Selection:
         for one in found:
             gain = 1.0 - one.validation / now.validation
             if not gain >= LEAST_GAIN:
-                short = f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
-                return now, None, refused or short
+                continue
             one = self._resolved(one.model, one.values)
             own = 1.0 - one.validation / now.validation
             if own >= LEAST_GAIN:
@@ -297,7 +302,7 @@ class _Selection:
                 f"{one.model.names[-1]} {_lowers(gain)}, but by {100 * own:.1f} % with what mesh "
                 "and time step lack in its own predictions: it makes up for them"
             )
-        return now, None, refused
+        return now, None, refused or short()
 
     def _damped_after_all(self, now: _Fitted) -> None:
         """Internal damping may count only beside effects that were found later."""
@@ -355,6 +360,14 @@ def verdict_of(selection: MotionSelection, floor: float) -> tuple[str, str]:
     if after <= (1.0 - MOTION.takes) * before:
         return "partly-explained", f"{numbers}: {1e2 * (1 - after / before):.0f} % less"
     return "unexplained", f"{numbers}: no effect takes a fifth of it away"
+
+
+def _in_order(found: list[_Fitted]) -> list[_Fitted]:
+    """The best ahead, and before it what has fewer parameters and is no worse but by less than
+    `LEAST_GAIN`, which counts as no gain: a hair's breadth decides what can join later."""
+    least = min(t.validation for t in found) * (1.0 + LEAST_GAIN)
+    ahead = sorted(found, key=lambda t: t.validation)
+    return sorted(ahead, key=lambda t: len(t.values) if t.validation <= least else np.inf)
 
 
 def _some(recordings: np.ndarray, count: int) -> np.ndarray:
