@@ -31,6 +31,8 @@ _PRIOR = 2e-3
 # Slices of windows are run side by side, one a core. Setting one up and recording launches takes
 # as long as so many windows of a second.
 _WORTH_A_SLICE = 8
+# Predictions from shaken grips that tell their scatter.
+_SHAKES = 6
 # Time steps a frame at most, where longer ones do not converge.
 _FINEST = 4
 
@@ -190,19 +192,24 @@ class MotionLaboratory:
     ) -> float:
         """Error that may be left of a prediction although the model is right [m]: noise of the
         markers that are compared, and what the noise of grips, first frames and lengths makes of
-        it: as much again shows it.
+        it: as much again shows it, of few recordings more than once, with twice the standard error
+        of as many recordings as are compared.
 
         Args:
             windows: from the start of recordings to their end.
         """
         m, noise = self.measurements, np.random.default_rng(0)
-        noisy = noise.normal(m.positions, m.noise)
-        again = windows_of(replace(m, positions=noisy), windows.recording.tolist())
-        again = replace(again, markers=windows.markers)
-        shaken, _, failed = self.run(again, model.setup(self.base, values))
-        shaken[failed] = predicted[failed]
         still = replace(windows, markers=predicted, lacking=np.zeros_like(predicted))
-        return float(np.hypot(m.noise_floor, self.error(still, shaken)))
+        count, each = len(predicted), []
+        while len(each) < max(_SHAKES, count):
+            noisy = noise.normal(m.positions, m.noise)
+            again = windows_of(replace(m, positions=noisy), windows.recording.tolist())
+            again = replace(again, markers=windows.markers)
+            shaken, _, failed = self.run(again, model.setup(self.base, values))
+            shaken[failed] = predicted[failed]
+            each += [self.error(still.part([k]), shaken[[k]]) for k in range(count)]
+        shaken_by = np.mean(each) + 2.0 * np.std(each) / np.sqrt(count)
+        return float(np.hypot(m.noise_floor, shaken_by))
 
     def rates(self, model: Model, values: np.ndarray) -> list[MotionSetup]:
         """Setups whose imaginary parts are the parameters' rates."""
