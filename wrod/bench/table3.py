@@ -96,7 +96,7 @@ def command(asked: _Asked, common: campaign.Common) -> None:
     ]
     campaign.settle(common, len(ledger.lacking(keys)), max(rod(name).length for name in rods))
     start = time.perf_counter()
-    compile_steps(device)
+    compile_steps(device, "grip")
     compiled = time.perf_counter() - start
     plans = _plans(rods, curves, asked.closure, asked.left, device)
     if asked.known_table:

@@ -68,9 +68,9 @@ def command(
     """Fill Warp's kernel cache, so that other commands do not have to wait for a compiler.
 
     Kernels are compiled once on a machine, by whatever needs them first; here they are side by
-    side. Left out, unless --all is given, are those of knots, of fixtures with edges, of the rod
-    solver's grasps of naturally curved rods, and of Newton's solvers. What is there already is not
-    compiled again. `make setup` does this.
+    side. Left out on a CPU, unless --all is given, are those of knots, of fixtures with edges, of
+    the rod solver's grasps of naturally curved rods, and of Newton's solver; on a GPU those of its
+    gradients. What is there already is not compiled again. `make setup` does this.
     """
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -154,7 +154,6 @@ def _compile_for_gpu(device: str) -> None:
     from wrod.solvers.compiling import compile_steps
 
     compile_steps(device)
-    compile_steps(device, coupled=True)
     compile_kernels(device, sensitivities=True)
 
 

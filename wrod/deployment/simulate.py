@@ -141,7 +141,7 @@ def simulate_deployments(
     plans = {(id(t.pattern), id(t.rod), id(t.trajectory), t.another_rod): t for t in trials}
     for trial in plans.values():
         refuse_other_plans(trial)
-    compile_steps(device)
+    compile_steps(device, "grip")
     setups = prepare_trials(trials, hold, release, speed, discretisation)
     options: dict[str, Any] = dict(
         device=device, friction_field=friction_field, keeps_recording=device == "cpu"

@@ -219,7 +219,7 @@ class Workbench:
         ]
         arrays = end_to_end(lines)
         arrays["natural_curvature"][:, :, 0] += self.natural_curvature
-        compile_steps(resolve_device(self.device), coupled=True)
+        compile_steps(resolve_device(self.device), "pairs", "hands")
         batch = RodBatch(self.position, director=self.director, device=self.device, **arrays)
         if cuts:
             batch.cut(cuts)

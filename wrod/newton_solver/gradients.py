@@ -23,6 +23,7 @@ from wrod.newton_solver.tapes import off_tape, recorded
 from wrod.rods.discretisation import of_free_part
 from wrod.solvers.adjoint import StepAdjoint
 from wrod.solvers.body_adjoint import BodyAdjoint
+from wrod.solvers.compiling import compile_steps
 from wrod.solvers.trace import Trace, require_differentiable
 
 # Properties with a gradient: in the orders in which `want_properties` and `want_of_rods` take them.
@@ -110,6 +111,7 @@ class GroupGradients:
         group = self.group
         if self._adjoint is None:
             layout, device = group.layout, group.device
+            compile_steps(device, *(f"gradients of {name}" for name in ("steps", *group.more)))
             moved = group.batch.free.numpy() == 0
             air = layout.node_values("air_damping")
             touched = group.shape_contact

@@ -14,6 +14,7 @@ from wrod.newton_solver.shapes import ModelShapes, RodPlaces
 from wrod.newton_solver.tapes import off_tape
 from wrod.rods.state import RodState
 from wrod.solvers.bodies import Bodies
+from wrod.solvers.compiling import compile_steps
 from wrod.solvers.contact import Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.inertia import rounding_of, usual_force
@@ -67,6 +68,13 @@ class RodGroup:
     ):
         self.model, self.rows = model, rows
         self.device = device = str(model.device)
+        more = {
+            "solids": len(shapes.rows),
+            "pairs": rods["friction"] is not None,
+            "bodies": own.any(),
+        }
+        self.more = [name for name, there in more.items() if there]
+        compile_steps(device, "simulator", *self.more)
         self.worlds = model.der.rod_world.numpy()[rows[:, 0]]
         self.layout = layout = Layout(model, rows, holds)
         self.place = wp.array(layout.places, dtype=exchange.Place, device=device)

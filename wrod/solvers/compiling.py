@@ -14,7 +14,7 @@ from wrod.kernels.lanes import TEAM, WARP
 from wrod.kernels.linear.two_warps import ENDS
 
 _WIDE = 256  # Warp's own
-# Modules of `wrod.kernels`, by the size of the blocks in which they are launched; a kernel after a
+# Modules of `wrod.kernels`, by what launches them and the size of its blocks; a kernel after a
 # colon has a module of its own.
 _STEPS = {
     WARP: ("stepping.pace", "stepping.newton_iteration", "elastic.bending:elasticity"),
@@ -28,27 +28,71 @@ _STEPS = {
         "stepping.viscosity",
     ),
 }
-_LAYING = {_WIDE: ("stepping.grip",)}
-_COUPLED = {
-    WARP: ("contact.touching", "linear.banded_lanes"),
-    TEAM: (
-        "linear.skyline_order",
-        "linear.skyline_ends",
-        "linear.skyline_lanes",
-        "linear.coupling",
-    ),
-    _WIDE: ("contact.rods", "contact.pairs", "stepping.hands"),
+_MORE: dict[str, dict[int, tuple[str, ...]]] = {
+    "grip": {_WIDE: ("stepping.grip",)},
+    "hands": {_WIDE: ("stepping.hands",)},
+    "pairs": {
+        WARP: ("contact.touching", "linear.banded_lanes"),
+        TEAM: (
+            "linear.skyline_order",
+            "linear.skyline_ends",
+            "linear.skyline_lanes",
+            "linear.coupling",
+        ),
+        _WIDE: ("contact.rods", "contact.pairs"),
+    },
+    "solids": {_WIDE: ("contact.edges", "contact.depths")},
+    "simulator": {_WIDE: ("stepping.exchange", "stepping.carrying")},
+    "bodies": {
+        WARP: ("linear.banded_lanes",),
+        _WIDE: (
+            "stepping.bodies",
+            "stepping.body_contact",
+            "stepping.body_exchange",
+            "stepping.body_meetings",
+            "stepping.body_shapes",
+            "stepping.body_system",
+        ),
+    },
+    "gradients of steps": {
+        _WIDE: (
+            "stepping.adjoint",
+            "stepping.exchange_adjoint",
+            "stepping.model_adjoint",
+            "contact.plane_adjoint",
+        ),
+    },
+    "gradients of pairs": {
+        TEAM: ("linear.skyline_lu",),
+        _WIDE: ("contact.pair_adjoint", "stepping.adjoint:fill_coupled"),
+    },
+    "gradients of solids": {_WIDE: ("contact.edge_adjoint", "stepping.carrying_adjoint")},
+    "gradients of bodies": {
+        _WIDE: (
+            "stepping.body_adjoint",
+            "stepping.body_exchange_adjoint",
+            "stepping.body_shapes_adjoint",
+            "stepping.meeting_adjoint",
+        ),
+    },
 }
 
 
 @cache
-def compile_steps(device: str, *, coupled: bool = False) -> None:
-    """Compile, on a GPU, what simulated deployments launch; of rods that touch rods with `coupled`
-    instead of those that a grip lays."""
+def compile_steps(device: str, *more: str) -> None:
+    """Compile, on a GPU, what time steps launch.
+
+    Args:
+        device: where.
+        more: and what else does: a "grip" that lays rods or "hands" that tie them, "pairs" of rods
+            that touch, "solids", the exchange with a "simulator", and its "bodies"; "gradients of"
+            these; default: all but gradients.
+    """
     if wp.get_device(device).is_cpu:
         return
-    tables = (_STEPS, _COUPLED if coupled else _LAYING)
-    names = [(name, block) for table in tables for block, row in table.items() for name in row]
+    more = more or tuple(name for name in _MORE if not name.startswith("gradients"))
+    tables = (_STEPS, *(_MORE[name] for name in more))
+    names = {(name, block) for table in tables for block, row in table.items() for name in row}
     compile_together(device, [(_found(name), block) for name, block in names])
 
 
