@@ -23,6 +23,8 @@ from wrod.identification.verdict import CLAMPED
 # Farther off than this from trial to trial is no play of a fixture and no camera that was set up
 # again [m, rad]: six numbers an end may turn a clamp by 17 degrees in place of a twisted rod.
 _PLAY = {"m": 3e-3, "rad": np.deg2rad(3.0)}
+# A trial outweighs the others with so many times the squares of their median.
+OUTWEIGHS = 5.0
 
 
 @dataclass(frozen=True)
@@ -70,8 +72,11 @@ def what_is_left(
         squares = laboratory.misfit(model, values, trials).sum() / laboratory.read[trials].sum()
         if not CLAMPED.is_noise(np.sqrt(squares), 1.0):
             return None, ""
-        both = np.union1d(laboratory.measurements.train, trials)
-        prints = trace(laboratory, model, values, both)
+        asked = np.union1d(laboratory.measurements.train, trials)
+        each = laboratory.misfit(model, values, asked) / laboratory.read[asked].sum(axis=1)
+        # One trial that outweighs the others vouches for nothing.
+        asked = asked[each <= OUTWEIGHS * np.median(each)]
+        prints = trace(laboratory, model, values, asked)
     finally:
         laboratory.set_noise(*before)
     changing = sorted((p for p in prints if p.seen_to_change), key=lambda p: -max(p.change, p.anew))

@@ -11,6 +11,7 @@ from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.pairs import likely_pairs
 from wrod.identification.clamped.profiles import ProfileEffect
+from wrod.identification.clamped.scatter import OUTWEIGHS
 from wrod.identification.clamped.verdict import BIC_MARGIN, Round
 from wrod.identification.effect import Effect, Model
 
@@ -20,8 +21,8 @@ _PAIRS, FLUCTUATION = 12, 5.0
 # Leaner pairs to fit in the place of a chosen one, out of so many by superposition.
 _LEANER, _LEANER_FROM = 6, 40
 # How many fits are made without trials that hold them back, the best by the squares of so large a
-# share of the trials; no more are left out, each with so many times the squares of the median.
-_AGAIN, _MOST, _OUTWEIGHS = 8, 0.75, 5.0
+# share of the trials; no more are left out.
+_AGAIN, _MOST = 8, 0.75
 
 
 def base_fit(laboratory: Laboratory) -> Fit:
@@ -278,7 +279,7 @@ def _past_folds(laboratory, fits: list[Fit]) -> list[Fit]:
             return fits
         with suppress(DataError):
             misfit = laboratory.misfit(fit.model, fit.values, trials)
-            stays = misfit < _OUTWEIGHS * np.median(misfit)
+            stays = misfit < OUTWEIGHS * np.median(misfit)
             if not stays.all() and stays.mean() >= _MOST:
                 trimmed = np.sort(misfit)[: int(np.ceil(_MOST * len(misfit)))].sum()
                 held.append((float(trimmed), fit, stays))

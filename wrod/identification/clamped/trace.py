@@ -21,6 +21,8 @@ _AMPLITUDES = np.logspace(-4, 3, 43)
 # Evidence of a print from which it is one [nats]; twice that is what an effect lowers the
 # information criterion by to join.
 SEEN = 5.0
+# Evidence that it is another one in each trial: so many numbers take what a law leaves wrong, too.
+_ANEW = 2.0 * SEEN
 # What a rod keeps of the bend that the trial before gave it, and how large that may be.
 MEMORY = "memory"
 _MEMORY, _KEPT = "share that the rod keeps of the curvature of the trial before", 0.2
@@ -86,7 +88,7 @@ class Print:
         every trial; empty where they do not."""
         if self.name == MEMORY and self.seen:
             return f"{self.title}: {self.value[0]:.2f} ± {self.stderr[0]:.2f}"
-        if self.by is None or max(self.change, self.anew) <= SEEN:
+        if self.by is None or (self.change <= SEEN and self.anew <= _ANEW):
             return ""
         if self.anew > self.change:
             return f"{self.title} is another one in each trial"
