@@ -19,8 +19,10 @@ _BY_CURVATURE, _BY_SLOPE, _BEGIN_AND_END, _HOLD = 1.08, 3.4, 2.2, 0.05
 # Largest curvature [1/L_gb] that a friction lays without a correction.
 _LAID_BY, _LAYS = (0.1, 0.26, 0.55, 1.6), (0.25, 0.5, 1.0, 2.0)
 # What turns beyond that is corrected in so many steps, and in these with each radian, up to that
-# many radians; from more on bend by bend, which takes as long as that many [-].
-_STEPS, _MORE, _MOST, _FAR, _BEND_BY_BEND = 2.0, 1.2, 2.0, 2.8, 16.0
+# many radians; from more on, of two rods and of four, bend by bend, which takes as long as these:
+# some before, some after, and between them nine in which a way goes on from where another was.
+_STEPS, _MORE, _MOST, _BEND_BY_BEND = 2.0, 1.2, 2.0, 19.0
+_FAR = {2: 2.7, 4: 1.5}
 # Paths that are judged, by so many rods, and nodes of what hangs.
 _PATHS, _RODS, _HANGING = 2.2, 12, 30
 
@@ -52,13 +54,14 @@ def corrected(
     curvature = np.abs(pattern.sample(s)[2]) * lgb
     beyond = np.maximum(curvature - np.interp(spread.friction[0], _LAID_BY, _LAYS), 0.0)
     turned = float(np.trapezoid(beyond, s / lgb))
-    steps = _STEPS + _MORE * min(turned, _MOST) if turned < _FAR else _BEND_BY_BEND
+    rods = samples_of(spread)
+    steps = _STEPS + _MORE * min(turned, _MOST) if turned < _FAR[rods] else _BEND_BY_BEND
     laid = s[-1] - s[0]
     coarse, fine = (
         laid / edged(mesh, edge * lgb).spacing + _HANGING
         for mesh, edge in ((COARSE, COARSE_EDGE), (JUDGING, JUDGING_EDGE))
     )
-    work = _DERIVED * steps * samples_of(spread) * coarse + _JUDGED * _PATHS * _RODS * fine
+    work = _DERIVED * steps * rods * coarse + _JUDGED * _PATHS * _RODS * fine
     return way_time(pattern, rod, pace or PACE) * work / (1.0 if device == "cpu" else _CARD)
 
 
