@@ -207,7 +207,7 @@ class MotionLaboratory:
             again = replace(again, markers=windows.markers)
             shaken, _, failed = self.run(again, model.setup(self.base, values))
             shaken[failed] = predicted[failed]
-            each += [self.error(still.part([k]), shaken[[k]]) for k in range(count)]
+            each += [self.error(still.part(np.array([k])), shaken[[k]]) for k in range(count)]
         shaken_by = np.mean(each) + 2.0 * np.std(each) / np.sqrt(count)
         return float(np.hypot(m.noise_floor, shaken_by))
 
