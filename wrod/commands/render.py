@@ -30,7 +30,7 @@ _OTHERS = (
 def command(
     scene: Path,
     out: Path = option("Folder, PNG or HTML.", required=True),
-    camera: str = option("top, perspective, ...", default="perspective"),
+    camera: str = option("top, work, perspective, ...", default="perspective"),
     frames: int | None = option("Pictures from first to last; 24, or 1 for a PNG."),
     moments: bool = option("One PNG of the scene's moments: knots and cables."),
     size: tuple[int, int] = option("Pixels.", default="960x720", callback=_size),
@@ -45,10 +45,10 @@ def command(
     from wrod.errors import DataError
     from wrod.scene.moments import draw_moments
     from wrod.scene.render import render
+    from wrod.scene.validate import open_stage
     from wrod.scene.view import write_page
 
-    if not scene.exists():
-        raise DataError(f"{scene}: no such file; give a .usdc, .usda or .usd stage")
+    open_stage(scene)  # refused before Newton is loaded, which takes seconds
     page = out.suffix.lower() == ".html"
     if not page and out.suffix.lower() in _OTHERS:
         raise DataError(f"{out}: pictures are .png, pages .html; name one, or a folder of pictures")

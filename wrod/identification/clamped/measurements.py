@@ -10,9 +10,11 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from wrod.errors import DataError
+from wrod.records import brief
 from wrod.rods.material import RodMaterial
 
 
+@brief
 @dataclass(frozen=True)
 class ClampedMeasurements:
     """T static equilibria of one rod between clamp A (arc length 0) and gripper B; SI units.

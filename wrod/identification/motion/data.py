@@ -12,8 +12,10 @@ from wrod.errors import DataError
 from wrod.identification.motion.curves import spline_lengths
 from wrod.identification.motion.noise import TimeNoise, noise_in_time
 from wrod.identification.motion.setup import START_L_GB
+from wrod.records import brief
 
 
+@brief
 @dataclass(frozen=True)
 class MotionMeasurements:
     """R recordings of one rod whose two ends are moved by grips; SI units, z up.
