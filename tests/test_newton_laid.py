@@ -18,7 +18,7 @@ from wrod.bench.newton_laid import (
     over_its_block,
     slide,
 )
-from wrod.errors import RodError
+from wrod.errors import RodError, WrodWarning
 
 
 @pytest.mark.parametrize("density", [0.5, 500.0, 5000.0])
@@ -284,3 +284,20 @@ def test_forces_and_moments_are_equal_and_opposite():
     group.contact._edges._model.rolling.fill_(1.0)
     with pytest.raises(RodError, match="cannot roll; use rolling=False"):
         group.contact.carry(group.contact._edges.carried, np.zeros((1, 1, 13)))
+
+
+@pytest.mark.skipif(DEVICE != "cpu", reason="a GPU is not waited for to look at the first state")
+@pytest.mark.parametrize("height", [-0.01, 0.0, 1.01 * CABLE.radius])
+def test_rods_that_begin_in_the_ground_are_named(height, recwarn):
+    """A plane pushes at once all that lies in it: the rod would fly."""
+    builder = newton.ModelBuilder()
+    wrod.SolverDER.register_custom_attributes(builder)
+    builder.add_ground_plane()
+    for place in (0.5, height):
+        points = np.linspace((0.0, 0.0, place), (0.3, 0.0, place), 7)
+        wrod.SolverDER.add_rod(builder, points, CABLE)
+    model = builder.finalize()
+    state = model.state()
+    wrod.SolverDER(model).step(state, state, None, None, 1e-3)
+    told = [str(one.message) for one in recwarn if issubclass(one.category, WrodWarning)]
+    assert any("rod 1 begins" in said for said in told) == (height < CABLE.radius)

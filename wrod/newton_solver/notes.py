@@ -11,9 +11,9 @@ from wrod.errors import RodError, WrodWarning
 from wrod.newton_solver.holds import Holds
 
 
-def _say(text: str) -> None:
+def _say(text: str, within: int = 0) -> None:
     # Of the line that called the solver: through `arguments.checked`, `step`, and this module.
-    warnings.warn(text, WrodWarning, stacklevel=5)
+    warnings.warn(text, WrodWarning, stacklevel=5 + within)
 
 
 def _named(model: newton.Model, bodies) -> str:
@@ -39,8 +39,12 @@ def rods_of_long_ago() -> None:
 
 
 def begins_elsewhere(model: newton.Model, holds: Holds, rods: wp.array, poses: wp.array) -> None:
-    """Look, in the memory of a CPU, whether rods begin farther than an edge from links that hold
-    them: those are where their joints have them only once kinematics were evaluated."""
+    """Look, in the memory of a CPU, whether rods begin in the ground, or farther than an edge from
+    links that hold them: those are where their joints have them only once kinematics were
+    evaluated."""
+    _begins_beneath(model, rods.numpy())
+    if not model.body_count:
+        return
     der, nodes, bodies = model.der, rods.numpy(), poses.numpy().astype(float)
     first, longest = der.rod_first_node.numpy(), der.edge_rest_length.numpy().max()
     jointed = model.joint_type.numpy() != int(newton.JointType.FREE)
@@ -60,6 +64,29 @@ def begins_elsewhere(model: newton.Model, holds: Holds, rods: wp.array, poses: w
                     "model.joint_qd, model)"
                 )
                 return
+
+
+def _begins_beneath(model: newton.Model, nodes: np.ndarray) -> None:
+    """Planes push at once what solids let out slowly: it is thrown off as by a spring."""
+    if not model.shape_count:
+        return
+    kinds, flags, sizes = (getattr(model, f"shape_{n}").numpy() for n in ("type", "flags", "scale"))
+    ground = (kinds == newton.GeoType.PLANE) & ~sizes[:, :2].any(axis=1)
+    ground &= (flags & int(newton.ShapeFlags.COLLIDE_SHAPES) != 0) & (model.shape_body.numpy() < 0)
+    poses, worlds = model.shape_transform.numpy().astype(float), model.shape_world.numpy()
+    count, radius = model.der.rod_node_count.numpy(), model.der.rod_radius.numpy()
+    radius, world = np.repeat(radius, count), np.repeat(model.der.rod_world.numpy(), count)
+    for k in np.flatnonzero(ground):
+        up = Rotation.from_quat(poses[k, 3:]).apply([0.0, 0.0, 1.0])
+        depth = radius - (nodes - poses[k, :3]) @ up
+        depth[(worlds[k] >= 0) & (world != worlds[k])] = 0.0
+        if (depth > 0.5 * radius).any():
+            rod = int(np.repeat(np.arange(len(count)), count)[np.argmax(depth)])
+            _say(
+                f"rod {rod} begins {depth.max():.3g} m deep in plane {model.shape_label[k]!r}, "
+                "which throws it out; begin a radius above it",
+                within=1,
+            )
 
 
 def nobody_feels(model: newton.Model, bodies) -> None:

@@ -263,7 +263,7 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         device = self.model.device
         if device.is_cpu and not device.is_capturing:
             notes.refuse_what_is_no_number(self.model, state_in, moved, bool(self._own.any()))
-            if self._steps == 0 and self.model.body_count:
+            if self._steps == 0:
                 notes.begins_elsewhere(self.model, self._holds, state_in.der.node_q, moved.body_q)
         if state_out is not moved:
             for name in _PASSED_ON:
