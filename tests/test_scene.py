@@ -62,6 +62,7 @@ def test_stage_is_small_metric_and_self_contained(scene, letter):
     assert len(stage.GetUsedLayers()) <= 2 and stage.GetDefaultPrim().GetName() == "World"
     cameras = {p.GetName() for p in stage.Traverse() if p.IsA(UsdGeom.Camera)}
     assert cameras == {"top", "work", "perspective"}
+    assert "wrod:time" in stage.GetRootLayer().documentation
 
 
 def test_links_gripper_and_rod_are_the_arrays_at_every_time_code(scene, letter, letter_path):

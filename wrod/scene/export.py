@@ -38,6 +38,11 @@ _shapes = arguments.either(
     arguments.several(arguments.optional(arguments.array(finite=False))),
 )
 _DEFAULT_RADIUS = 0.002  # [m] where no rod is given
+# Whoever has the stage alone would take its speed for the robot's.
+_READ_ME = (
+    "Metres, Z up. Time codes are nodes of the plan, no seconds: wrod:time of each deployment is "
+    "the robot's time [s], wrod:phase what it does, wrod:arcLength what is laid [m]."
+)
 
 
 @needed_extras()
@@ -121,6 +126,7 @@ def export_usd(
         shift[:2] -= item.centre
         seen.append(_add_deployment(stage, number, item, shift, materials))
     _surround(stage, deployments, np.concatenate(seen), floor, materials)
+    stage.GetRootLayer().documentation = _READ_ME
     stage.GetRootLayer().customLayerData = {"creator": "wrod", "deployments": len(deployments)}
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / f"scene{path.suffix}"

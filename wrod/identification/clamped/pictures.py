@@ -60,6 +60,7 @@ def residuals(report) -> bytes:
         axes = figure.add_subplot(1, 2, k + 1)
         image = axes.imshow(values, aspect="auto", cmap="viridis", vmin=0.0, vmax=top)
         axes.set_xlabel("marker", fontsize=8.5)
+        axes.xaxis.get_major_locator().set_params(integer=True)
         axes.set_ylabel("trial (test trials marked)" if k == 0 else "", fontsize=8.5)
         axes.plot(np.full(len(m.test), -1.0), m.test, ">", ms=4, color=AFTER, clip_on=False)
         axes.set_xlim(-0.5, values.shape[1] - 0.5)
