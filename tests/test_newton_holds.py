@@ -209,3 +209,8 @@ def test_a_clamp_has_the_direction_at_its_node(side):
         errors.append(np.abs(state.der.node_q.numpy() - arc).max() / length)
     assert errors[0] < 3e-3
     assert np.log2(errors[0] / errors[1]) > 1.9
+
+
+def test_points_in_millimetres_are_asked_after():
+    with pytest.warns(WrodWarning, match="200 m in length.*millimetres"):
+        SolverDER.add_rod(scene(), 2e3 * LINE, ROD)

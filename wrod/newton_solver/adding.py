@@ -12,7 +12,7 @@ from wrod.newton_solver import attributes
 from wrod.newton_solver.curves import add_curves, write_curves
 from wrod.newton_solver.described import add_described
 from wrod.newton_solver.meshed import MeshedRod
-from wrod.rods.material import RodMaterial
+from wrod.rods.material import RodMaterial, ask_after_units
 from wrod.rods.model import RodModel
 
 _OF_JOINT = arguments.optional(arguments.number(above=0.0))
@@ -112,6 +112,8 @@ class RodBuilding:
             RodModel.of(material), points, director, velocity, natural_curvature, natural_twist,
             rest_length,
         )  # fmt: skip
+        lgb = rod.model.gravito_bending_length
+        ask_after_units(rod.model.radius, float(rod.rest.sum()), lgb, stacklevel=4)
         held = (start, start_body), (end, end_body)
         damping, look = (air_damping, internal_damping), (visible, color, label)
         return attributes.add_rod(builder, rod, held, damping, touches_rods, look)

@@ -60,6 +60,19 @@ def refuse_lumps(
         )
 
 
+def ask_after_units(
+    radius: float, length: float, gravito_bending_length: float, stacklevel: int
+) -> None:
+    """Warn of what was likely meant in millimetres; `stacklevel` as `warnings.warn` counts it from
+    here."""
+    if radius > _THICK or length > _LONG:
+        said = (
+            f"a rod of {radius:g} m in radius and {length:g} m in length, with an L_gb of "
+            f"{gravito_bending_length:g} m (millimetres?)"
+        )
+        warnings.warn(WrodWarning(said), stacklevel=stacklevel)
+
+
 @dataclass(frozen=True)
 class RodMaterial:
     """A uniform, isotropic, linearly elastic rod of circular section, straight unless it says not.
@@ -127,12 +140,7 @@ class RodMaterial:
                 f"{self.radius:g} m and a density of {self.density:g} kg/m^3: a Young's modulus of "
                 f"{self.youngs_modulus:.2g} Pa, stiffer than diamond; check the numbers' units"
             )
-        if self.radius > _THICK or self.length > _LONG:
-            said = (
-                f"a rod of {self.radius:g} m in radius and {self.length:g} m in length, with an "
-                f"L_gb of {self.gravito_bending_length:g} m (millimetres?)"
-            )
-            warnings.warn(WrodWarning(said), stacklevel=4)
+        ask_after_units(self.radius, self.length, self.gravito_bending_length, stacklevel=5)
 
     @classmethod
     @arguments.checked(RodError)
