@@ -25,6 +25,7 @@ def page(tmp_path_factory):
 def test_page_holds_everything(page):
     text = page.read_text(encoding="utf-8")
     assert len(text) < 6e6
+    assert "<title>line</title><style>" in text
     for mark in ('src="http', "src='http", 'href="http'):
         assert mark not in text  # nothing is fetched from elsewhere
 

@@ -10,7 +10,6 @@ import io
 import os
 import socket
 from dataclasses import replace
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +24,7 @@ from wrod.scene.page_parts import (
     add_shape,
     expected_errors,
     move_rod,
+    named,
     pose_of,
 )
 from wrod.scene.phases import Falls, covered, falling, rods_of, with_release
@@ -38,9 +38,6 @@ _FLOOR = (0.647, 0.667, 0.69)
 _INK = (26, 56, 140)
 _COLOURS = "green: on the pattern; red: a centimetre off"
 _LINE = 0.045  # of what is seen, between the captions' lines
-# Viser's page has no name, and cuts off both sides where it is high and narrow, as on a phone.
-_HEAD = "<title>Viser</title>"
-_STYLE = "<style>#root {height: min(100vh, 160vw) !important}</style>"
 
 
 @needed_extras()
@@ -117,8 +114,7 @@ def write_deployment_page(
                 if at_nodes:
                     label.text += f", {100 * laid[k]:.1f} cm laid"
             recording.insert_sleep(duration / max(count - 1, 1))
-        page = recording.as_html(dark_mode=False)
-        page = page.replace(_HEAD, f"<title>{escape(_name(trajectory))}</title>{_STYLE}", 1)
+        page = named(recording.as_html(dark_mode=False), _name(trajectory))
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()

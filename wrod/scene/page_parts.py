@@ -1,5 +1,7 @@
 """What moves on a page: the arm, the rod as a tube of its true radius, and the stand."""
 
+from html import escape
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -11,7 +13,15 @@ from wrod.scene.workplace import BASE_HEIGHT, COLUMN
 _LINE = 3.5  # [px] of the rod's line
 _SIDES = 10  # of the rod's tube
 _LIES = 1e-3  # [m] above the contact points, what is lower lies
+# Viser's page has no name, and cuts off both sides where it is high and narrow, as on a phone.
+_HEAD = "<title>Viser</title>"
+_STYLE = "<style>#root {height: min(100vh, 160vw) !important}</style>"
 _GREY, _LEG, _ROD = (115, 115, 122), (77, 79, 84), (20, 150, 60)
+
+
+def named(page: str, name: str) -> str:
+    """Viser's page under a name, and fit for a phone."""
+    return page.replace(_HEAD, f"<title>{escape(name)}</title>{_STYLE}", 1)
 
 
 def pose_of(matrix: np.ndarray) -> dict:

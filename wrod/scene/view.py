@@ -9,6 +9,7 @@ from pathlib import Path
 
 from wrod.errors import needed_extras
 from wrod.files import write_text
+from wrod.scene.page_parts import named
 from wrod.scene.stage import FRAMES_PER_SECOND
 
 _ADDRESS, _PORT = "127.0.0.1", 8080  # this machine only
@@ -75,7 +76,7 @@ def write_page(
             recording.insert_sleep(_STRIDE / FRAMES_PER_SECOND)
             if progress is not None:
                 progress(number + 1, count)
-        page = recording.as_html()
+        page = named(recording.as_html(), Path(path).stem)
     finally:
         viewer.close()
     return write_text(out, page)
