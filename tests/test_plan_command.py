@@ -1,5 +1,7 @@
 import json
 import shlex
+import subprocess
+import sys
 import threading
 import warnings
 from importlib.util import find_spec
@@ -225,6 +227,27 @@ def test_a_closure_beside_a_method_that_has_none_is_refused(tmp_path):
     assert result.exit_code == 2
     assert "--closure does nothing beside --method intuitive" in result.output
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--friction", "0.5:0.2"], "friction is (0.5, 0.2)"),
+        (["--friction", "0.3", "--pace", "0.02:nan"], "--pace is '0.02:nan'; give 0.0005 to 10"),
+    ],
+)
+def test_a_table_that_is_none_is_refused_before_a_solver_is_loaded(tmp_path, options, says):
+    words = ["plan", "line", "--rod", "green-vps", "--out", str(tmp_path / "out"), *options]
+    code = f"""
+import sys
+from wrod.commands import main
+try:
+    main({words!r})
+except SystemExit as end:
+    print(end.code, "warp" in sys.modules, "torch" in sys.modules)
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert says in ran.stderr and ran.stdout.split() == ["2", "False", "False"]
 
 
 def test_a_pattern_is_laid_from_its_other_end(tmp_path):

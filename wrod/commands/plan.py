@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.commands.bounds import BOUNDS
 from wrod.commands.options import (
     DEVICE,
     DRAWING,
@@ -108,7 +109,7 @@ class _GraspRequest:
             "controller": None if file is None else Controller.load(file),
             "pace": None
             if self.pace is None
-            else read_range(self.pace, "pace", "0.04 or 0.02:0.08"),
+            else read_range(self.pace, "pace", "0.04 or 0.02:0.08", BOUNDS["--speed"]),
         }
 
     @property

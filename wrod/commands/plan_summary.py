@@ -163,11 +163,13 @@ def read_friction(text: str) -> float | tuple[float, float]:
     return friction
 
 
-def read_range(text: str, what: str, example: str) -> float | tuple[float, float]:
+def read_range(
+    text: str, what: str, example: str, bounds: tuple[float, float] | None = None
+) -> float | tuple[float, float]:
     """0.3, or (0.2, 0.6) of "0.2:0.6".
 
     Raises:
-        PatternError: it is neither.
+        PatternError: it is neither, or not within the bounds.
     """
     from wrod.errors import PatternError
 
@@ -177,4 +179,6 @@ def read_range(text: str, what: str, example: str) -> float | tuple[float, float
         values = []
     if len(values) not in (1, 2):
         raise PatternError(f"--{what} is {text!r}; give a number or a range, as {example}")
+    if bounds is not None and not all(bounds[0] <= value <= bounds[1] for value in values):
+        raise PatternError(f"--{what} is {text!r}; give {bounds[0]:g} to {bounds[1]:g}")
     return values[0] if len(values) == 1 else (values[0], values[1])
