@@ -2,7 +2,7 @@
 
 Six of them are stated for Newton's SolverVBD too: the same cables, as `newton.Rod`, on the mesh of
 the example, ten steps a frame; the bundle's without Dahl's friction. It moves no arm. Where
-dismech-newton is installed, it runs two of them, in as many steps.
+dismech-newton is installed, it runs four of them, in as many steps.
 
 Run: `python examples/newton/beside_vbd.py [--device cuda:0] [--iterations 20] [EXAMPLE...]`
 """
@@ -202,10 +202,7 @@ def twist(solver, module, args) -> tuple[float, float]:
             made.circles[k], young, module.RADIUS, m.weight / m.gravity, damping=0.02
         )
         held.append(bodies[0])
-        at = wp.transform(*scene.builder.body_q[bodies[-1]][:])
-        scene.builder.add_joint_revolute(
-            -1, bodies[-1], parent_xform=at, axis=wp.vec3(0.0, 0.0, 1.0)
-        )
+        scene.guide(bodies[-1])
     scene.begin(held)
     first = scene.state.body_q.numpy().astype(float)
 
@@ -261,8 +258,8 @@ SCENES = {
     "crane": crane, "cable_pile": pile, "y_junction": junction, "twist_transfer": twist,
     "bundle_hysteresis": bundle, "plectoneme": plectoneme,
 }  # fmt: skip
-# What `dismech_scene` can state: chains that nothing but their own ends holds.
-CHAINS = ("cable_pile", "plectoneme")
+# What `dismech_scene` can state: chains without bodies that move by forces.
+CHAINS = ("cable_pile", "twist_transfer", "bundle_hysteresis", "plectoneme")
 
 
 def main(args) -> None:

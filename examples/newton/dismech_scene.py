@@ -48,9 +48,19 @@ class Dismech(Vbd):
         self.bodies.append(list(bodies))
         return self.bodies[-1]
 
+    def guide(self, body: int) -> None:
+        own = self.builder.custom_attributes
+        edge = own["dismech:edge_body"].values.index(body)
+        for name in ("edge_node0", "edge_node1"):
+            node = own[f"dismech:{name}"].values[edge]
+            self.builder.particle_flags[node] &= ~newton.ParticleFlags.ACTIVE
+
     def begin(self, held=()) -> None:
-        for body in held:
+        segments = {body for cable in self.bodies for body in cable}
+        for body in segments.intersection(held):
             DiSMechSolver.fix_segment(self.builder, body)
+        for body in set(held) - segments:
+            self.builder.body_flags[body] = int(newton.BodyFlags.KINEMATIC)
         self.model = model = self.builder.finalize(device=self._device)
         self._solver = DiSMechSolver(model, iterations=self._iterations)
         self.state, self._other = model.state(), model.state()
@@ -61,15 +71,27 @@ class Dismech(Vbd):
         self._held = {b: self.state.body_q.numpy()[b].astype(float) for b in held}
 
     def step(self, poses=None) -> None:
+        self._there = wp.clone(self.state.body_q)
         for k in range(SUBSTEPS):
-            if k == 0:
-                for body, pose in (poses or {}).items():
+            for body, pose in (poses or {}).items():
+                if body not in self._edges:
+                    self._push(body, np.asarray(pose, dtype=float), (k + 1) / SUBSTEPS)
+                elif k == 0:
                     self._carry(body, np.asarray(pose, dtype=float))
             model, state = self.model, self.state
             inputs = [self._air, model.particle_mass, state.particle_qd]
             wp.launch(drag, model.particle_count, inputs, [state.particle_f], device=self._device)
             self._solver.step(state, self._other, None, None, FRAME / SUBSTEPS)
             self.state, self._other = self._other, state
+
+    def _push(self, body: int, pose: np.ndarray, part: float) -> None:
+        """Put an obstacle to its place after a part of the frame, at its speed."""
+        before, q, speed = (x.numpy() for x in (self._there, self.state.body_q, self.state.body_qd))
+        way = pose[:3] - before[body, :3]
+        q[body, :3] = before[body, :3] + part * way
+        speed[body, :3] = way / FRAME
+        self.state.body_q.assign(q)
+        self.state.body_qd.assign(speed)
 
     def _carry(self, body: int, pose: np.ndarray) -> None:
         """Put the nodes and the turn of a held segment to where its body is."""

@@ -57,6 +57,11 @@ class Vbd:
         self.bodies.append(list(bodies))
         return self.bodies[-1]
 
+    def guide(self, body: int) -> None:
+        """Let an edge turn about its axis alone."""
+        at = wp.transform(*self.builder.body_q[body][:])
+        self.builder.add_joint_revolute(-1, body, parent_xform=at, axis=wp.vec3(0.0, 0.0, 1.0))
+
     def begin(self, held=()) -> None:
         self.builder.color()
         self.model = model = self.builder.finalize(device=self._device)
