@@ -7,11 +7,13 @@ from click.testing import CliRunner
 from hidden import SETS, draw, kept
 
 from wrod.bench.continuous_rod import excess_of
+from wrod.bench.hidden_effects import MAGNET_REACH
 from wrod.bench.hidden_sets import TRIALS, cases
-from wrod.bench.hidden_table import error_of, held, lines, located, outcome, summary
+from wrod.bench.hidden_table import error_of, held, limit_of, lines, located, outcome, summary
 from wrod.bench.identify import _called
 from wrod.commands import main
 from wrod.errors import DataError
+from wrod.identification.clamped.described import Attraction
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.setup import ClampedSetup
@@ -117,6 +119,21 @@ def test_built_effects_are_judged_by_place_and_size():
     }
     assert located(sleeve) == pytest.approx((0.003, 0.05))
     assert located(magnet) == pytest.approx((0.005, 0.0))
+
+
+def test_the_bound_of_a_magnet_is_what_linear_estimates_scatter_by():
+    """Readings of the true model with noise of its own, fitted to first order."""
+    m = measurements_from_arrays(kept("none 1", 101, "pose")[0])
+    pull = {("strength",): (0.1,), ("x", "y", "z"): (0.4, 0.0, 0.2)}
+    place, size = limit_of(m, pull)
+    values = np.array([*pull[("strength",)], *pull[("x", "y", "z")], np.log(MAGNET_REACH)])
+    laboratory, rng = Laboratory(m), np.random.default_rng(3)
+    _, rates = laboratory.jacobian(Model((Attraction([values]),)), values)
+    deviation = laboratory.deviation[m.train]
+    rates = (rates[m.train] / deviation[..., None]).reshape(-1, len(values))
+    off = np.linalg.lstsq(rates, rng.normal(size=(len(rates), 4000)))[0]
+    assert place == pytest.approx(np.sqrt((off[1:4] ** 2).sum(axis=0).mean()), rel=0.05)
+    assert size * values[0] == pytest.approx(off[0].std(), rel=0.05)
 
 
 def test_curvatures_of_a_softening_law_carry_the_moment():

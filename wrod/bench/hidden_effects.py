@@ -348,6 +348,9 @@ def sleeve(rng, rod):
     return Hidden(stiff_along(factor, mass=lambda s: heavy * line * window(s)[None]), truth)
 
 
+MAGNET_REACH = 0.05  # [m]
+
+
 def magnet(rng, rod):
     """Something in the laboratory that draws the rod towards one point."""
     point = np.array([0.4, 0.0, 0.2]) + rng.uniform(-0.05, 0.05, 3)
@@ -355,7 +358,7 @@ def magnet(rng, rod):
 
     def force(q, t, s):
         away = point[:, None] - q
-        return strength * 0.1**2 * away / ((away**2).sum(axis=0) + 0.05**2) ** 1.5
+        return strength * 0.1**2 * away / ((away**2).sum(axis=0) + MAGNET_REACH**2) ** 1.5
 
     truth = _vector("attraction", ("x", "y", "z"), point)
     truth["attraction"][("strength",)] = (strength,)

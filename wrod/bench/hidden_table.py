@@ -56,6 +56,7 @@ def examine(
         return key | {"outcome": "failed", "reason": said, "traceback": whole}
     found = {effect["name"]: effect["parameters"] for effect in entry["effects"]}
     worst, deviations = error_of(found, hidden.truth)
+    pull = hidden.truth.get("attraction")
     akin, prints = NEAR.get(case, ((), ()))
     return entry | {
         "seed": seed,
@@ -69,6 +70,7 @@ def examine(
         "print_near": entry["likeliest_print"] in prints if prints else None,
         "worst_error": worst,
         "worst_deviations": deviations,
+        "limit": pull and limit_of(measurements, pull),
     }
 
 
@@ -133,6 +135,28 @@ def error_of(found: dict, truth: dict) -> tuple[float | None, float | None]:
             spread = math.sqrt(sum(p["stderr"] ** 2 for p in parts) / len(parts))
             deviations.append(math.hypot(*away) / math.sqrt(len(away)) / max(spread, 1e-300))
     return (max(errors), max(deviations)) if errors else (None, None)
+
+
+def limit_of(measurements, pull: dict) -> tuple[float, float]:
+    """(place [m], share of the size): the least root mean square error of any unbiased estimate of
+    a `magnet` from the trials to fit, by the bound of Cramer and Rao: at its true values, by the
+    declared noise, rod and set-up known, its reach not.
+
+    Args:
+        pull: true values of the attraction, by their names.
+    """
+    from wrod.bench.hidden_effects import MAGNET_REACH
+    from wrod.identification.clamped.described import Attraction
+    from wrod.identification.clamped.laboratory import Laboratory
+    from wrod.identification.effect import Model
+
+    (size,), place = pull[("strength",)], pull[("x", "y", "z")]
+    values = np.array([size, *place, math.log(MAGNET_REACH)])
+    laboratory = Laboratory(measurements)
+    rates = laboratory.jacobian(Model((Attraction([values]),)), values)[1][measurements.train]
+    rates = laboratory.whiten(rates, measurements.train).reshape(-1, len(values))
+    bound = np.linalg.inv(rates.T @ rates)
+    return math.sqrt(np.trace(bound[1:4, 1:4])), math.sqrt(bound[0, 0]) / abs(size)
 
 
 def located(row: dict) -> tuple[float, float]:
@@ -255,6 +279,13 @@ def summary(rows: Sequence[dict]) -> list[str]:
                     f"and {1e2 * _SIZED:.0f} %: places within {1e3 * place:.1f} mm, sizes within "
                     f"{1e2 * size:.1f} %; 80 % intervals hold {inside} of {of}"
                 )
+                if limits := [r["limit"] for r in mine if r.get("limit")]:
+                    least = [1e3 * place for place, _ in limits]
+                    text.append(
+                        f"{'':21}     no unbiased estimate of the place is off by less than "
+                        f"{min(least):.1f} to {max(least):.1f} mm (Cramer and Rao), more than "
+                        f"{1e3 * _LOCATED:.0f} mm in {sum(p > _LOCATED for p, _ in limits)} of them"
+                    )
         if named:
             close = sum(r["worst_error"] <= WITHIN for r in named)
             ratios = [r["after_mm"] / r["noise_floor_mm"] for r in named]
