@@ -7,46 +7,95 @@ By Sylvester's law the number of negative D is that of the negative eigenvalues 
 
 import warp as wp
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
-from wrod.kernels.elastic.frames import ONE, ZERO
+from wrod.kernels.elastic.frames import ZERO
 
 wp.set_module_options({"enable_backward": False})
 
 SMALLEST_PIVOT = wp.constant(wp.float64(1.0e-14))
+_SIZES = f"""
+    const int REACH = {HALF_BANDWIDTH}, BAND = REACH + 1;
+    const double SMALLEST = {float(SMALLEST_PIVOT)};"""
+_FACTORISE = """
+    const int n = hessian.shape[1];
+    const double* given = hessian.data + (size_t)r * n * BAND;
+    double* factor = factor_out.data + (size_t)r * n * BAND;
+    const int* moves = free.data + (size_t)r * n;
+    int negative = 0;
+    double below[2 * REACH] = {};
+    for (int a = -REACH; a < n; ++a) {
+        // One more row comes into reach; what pivots before it take is subtracted in place.
+        const int next = a + REACH;
+        if (next < n) {
+            double* row = factor + (size_t)next * BAND;
+            const double* from = given + (size_t)next * BAND;
+            for (int k = 1; k <= REACH; ++k)
+                row[k] = k <= next && moves[next] && moves[next - k] ? from[k] : 0.0;
+            row[0] = moves[next] ? from[0] + shift : 1.0;
+        }
+        if (a < 0) continue;
+        double* own = factor + (size_t)a * BAND;
+        // A pivot that cancels to nothing would end as infinity; keep its sign and give it a size.
+        double pivot = own[0];
+        const double least =
+            moves[a] ? SMALLEST * (fabs(given[(size_t)a * BAND] + shift) + SMALLEST) : 0.0;
+        if (fabs(pivot) < least) pivot = pivot < 0.0 ? -least : least;
+        own[0] = pivot;
+        negative += pivot < 0.0;
+        const double inverse = 1.0 / pivot;
+        const int last = n - 1 - a < REACH ? n - 1 - a : REACH;
+        // Column a of L D upside down, with nothing after it: so rows of the band run along it.
+        for (int j = 1; j <= REACH; ++j)
+            below[REACH - j] = j <= last ? own[(size_t)j * (BAND + 1)] : 0.0;
+        for (int j = 1; j <= last; ++j) {
+            double* row = own + (size_t)j * BAND;
+            const double share = below[REACH - j] * inverse;
+            for (int k = 0; k < REACH; ++k) row[k] -= share * below[REACH - j + k];
+            row[j] = share;
+        }
+    }
+    negative_pivots_out.data[r] = negative;
+"""
+_SOLVE = """
+    const int n = factor.shape[1];
+    const double* band = factor.data + (size_t)r * n * BAND;
+    const int* moves = free.data + (size_t)r * n;
+    double* own = x.data + ((size_t)r * x.shape[1] + column) * n;
+    for (int a = 0; a < n; ++a) {
+        const double* row = band + (size_t)a * BAND;
+        double value = moves[a] ? own[a] : 0.0;
+        // The nearest one last: it is known last.
+        for (int k = a < REACH ? a : REACH; k > 0; --k) value -= row[k] * own[a - k];
+        own[a] = value;
+    }
+    for (int a = 0; a < n; ++a) own[a] /= band[(size_t)a * BAND];
+    for (int a = n - 1; a > 0; --a) {
+        const double* row = band + (size_t)a * BAND;
+        const double value = own[a];
+        const int reach = a < REACH ? a : REACH;
+        for (int k = 1; k <= reach; ++k) own[a - k] -= row[k] * value;
+    }
+"""
 
 
-@wp.func
-def factorise_row(
+@wp.func_native(_SIZES + _FACTORISE)
+def factorise_rod(
     free: wp.array2d(dtype=wp.int32),
     hessian: wp.array3d(dtype=wp.float64),
     shift: wp.float64,
+    r: int,
+    factor_out: wp.array3d(dtype=wp.float64),
+    negative_pivots_out: wp.array(dtype=wp.int32),
+): ...
+
+
+@wp.func_native(_SIZES + _SOLVE)
+def solve_rod(
+    free: wp.array2d(dtype=wp.int32),
     factor: wp.array3d(dtype=wp.float64),
     r: int,
-    a: int,
-) -> wp.float64:
-    """Row a of L and its pivot D[a], given the rows above; returns the pivot."""
-    if free[r, a] == 0:
-        for k in range(1, HALF_BANDWIDTH + 1):
-            factor[r, a, k] = ZERO
-        return ONE
-    first = wp.max(0, a - HALF_BANDWIDTH)
-    diagonal = hessian[r, a, 0] + shift
-    pivot = wp.float64(diagonal)
-    # Left to right; until the second loop divides by D, the entry is (L D)[a, b].
-    for b in range(first, a):
-        value = hessian[r, a, a - b] * wp.float64(free[r, b])
-        for c in range(wp.max(first, b - HALF_BANDWIDTH), b):
-            value -= factor[r, a, a - c] * factor[r, b, b - c]
-        factor[r, a, a - b] = value
-    for b in range(first, a):
-        value = factor[r, a, a - b]
-        scaled = value / factor[r, b, 0]
-        pivot -= value * scaled
-        factor[r, a, a - b] = scaled
-    # A pivot that cancels to nothing would end as infinity; keep its sign and give it a size.
-    floor = SMALLEST_PIVOT * (wp.abs(diagonal) + SMALLEST_PIVOT)
-    if wp.abs(pivot) < floor:
-        pivot = wp.where(pivot < ZERO, -floor, floor)
-    return pivot
+    column: int,
+    x: wp.array3d(dtype=wp.float64),
+): ...
 
 
 @wp.kernel
@@ -62,15 +111,30 @@ def factorise(
 ):
     """Factorise the free block of `hessian + shift * identity` and count its negative pivots."""
     r = wp.tid()
-    if active[r] == 0:
-        return
-    negative = int(0)
-    for a in range(hessian.shape[1]):
-        pivot = factorise_row(free, hessian, shift[r], factor_out, r, a)
-        factor_out[r, a, 0] = pivot
-        if pivot < ZERO:
-            negative += 1
-    negative_pivots_out[r] = negative
+    if active[r] != 0:
+        factorise_rod(free, hessian, shift[r], r, factor_out, negative_pivots_out)
+
+
+@wp.kernel
+def eliminate(
+    # In:
+    active: wp.array(dtype=wp.int32),
+    free: wp.array2d(dtype=wp.int32),
+    hessian: wp.array3d(dtype=wp.float64),
+    gradient: wp.array2d(dtype=wp.float64),
+    shift: wp.array(dtype=wp.float64),
+    # Out:
+    factor_out: wp.array3d(dtype=wp.float64),
+    x: wp.array3d(dtype=wp.float64),
+    negative_pivots_out: wp.array(dtype=wp.int32),
+):
+    """`factorise`, and `solve` for `gradient`, into the first column of `x`."""
+    r = wp.tid()
+    if active[r] != 0:
+        factorise_rod(free, hessian, shift[r], r, factor_out, negative_pivots_out)
+        for a in range(gradient.shape[1]):
+            x[r, 0, a] = gradient[r, a]
+        solve_rod(free, factor_out, r, 0, x)
 
 
 @wp.kernel
@@ -87,20 +151,8 @@ def solve(
     Prescribed degrees of freedom come out as zero.
     """
     r, j = wp.tid()
-    if active[r] == 0:
-        return
-    n = factor.shape[1]
-    for a in range(n):
-        value = x[r, j, a] * wp.float64(free[r, a])
-        for k in range(1, wp.min(a, HALF_BANDWIDTH) + 1):
-            value -= factor[r, a, k] * x[r, j, a - k]
-        x[r, j, a] = value
-    for back in range(n):
-        a = n - 1 - back
-        value = x[r, j, a] / factor[r, a, 0]
-        for k in range(1, wp.min(back, HALF_BANDWIDTH) + 1):
-            value -= factor[r, a + k, k] * x[r, j, a + k]
-        x[r, j, a] = value
+    if active[r] != 0:
+        solve_rod(free, factor, r, j, x)
 
 
 @wp.func

@@ -21,9 +21,8 @@ from wrod.rods.batch import RodBatch
 class BandedSystem:
     """Factorisation of the free block of a batch's Hessian, and solutions with it.
 
-    `eliminate` solves for one right-hand side from both ends of each rod, on a GPU with two warps.
-    For several a CPU takes the rows one by one; a GPU gives each rod a warp, also of those that
-    share a row.
+    A CPU takes the rows one by one. A GPU gives each rod a warp, also of those that share a row;
+    `eliminate` solves there for one right-hand side from both ends of each rod with two.
 
     Args:
         batch: the rods.
@@ -60,10 +59,13 @@ class BandedSystem:
         Nothing else can be solved after that."""
         count = lanes(self.batch.device, two_warps.ENDS)
         self._clear_pivots(active)
-        dim = (self.batch.rod_count, len(self.segment), count)
-        inputs = [self.segment, active, self.batch.free, hessian, gradient, self.shift]
+        inputs = [active, self.batch.free, hessian, gradient, self.shift]
         outputs = [self.factor, self.x, self.negative_pivots]
-        self.batch.launch(banded_ends.solve, dim, inputs, outputs, count)
+        kernel, dim = banded.eliminate, (self.batch.rod_count,)
+        if self._on_gpu:
+            kernel, dim = banded_ends.solve, (*dim, len(self.segment), count)
+            inputs = [self.segment, *inputs]
+        self.batch.launch(kernel, dim, inputs, outputs, count)
 
     def _factorise_and_solve(self, gradient, hessian, active) -> None:
         self.factorise(hessian, active)
