@@ -5,6 +5,7 @@ import pytest
 from hidden import kept
 
 from wrod.identification.clamped import steps
+from wrod.identification.clamped.branches import to_measured
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.fit import fit_models
 from wrod.identification.clamped.laboratory import Laboratory
@@ -149,3 +150,27 @@ def test_trials_that_stand_before_a_fold_do_not_hold_a_fit_back(monkeypatch):
     (curvature,), (stiffness,) = (own.values() for own in truth.values())
     true = np.append(curvature, np.log(stiffness))
     assert np.abs(found.values - true).max() < 3.0 * np.sqrt(np.diag(found.covariance)).max()
+
+
+def test_a_rod_that_is_wound_by_a_whole_turn_more_is_found_by_its_shape():
+    """Poses say nothing of whole turns: a rod that is led to them and twisted by 2.5 rad there may
+    be wound the other way, and then stands elsewhere."""
+    data, _ = kept("natural_curvature", 101, "pose")
+    setup = ClampedSetup.base(measurements_from_arrays(data), np.arange(24), 40)
+    solver = ClampedSolver([setup])
+    led, shape, trial = solver.saved(), solver.batch.positions()[:, 1:-1], 7
+    twist = solver.total_twist()
+    assert twist[trial] < -2.4
+    solver.shape_to([setup], shape, turns=np.eye(24)[trial])
+    assert solver.relax([setup])[trial] and solver.negative[trial] == 0
+    turned, shape = solver.total_twist()[trial], shape.copy()
+    shape[trial] = solver.batch.positions()[trial, 1:-1]
+    solver.restore(led)
+    to_measured(solver, [setup], shape)
+    there = solver.total_twist()
+    assert there[trial] == pytest.approx(turned, abs=1e-8) and turned > 3.0
+    assert np.delete(there, trial) == pytest.approx(np.delete(twist, trial), abs=1e-12)
+    assert solver.batch.positions()[trial, 1:-1] == pytest.approx(shape[trial], abs=1e-7)
+    solver.restore(led)
+    to_measured(solver, [setup], solver.batch.positions()[:, 1:-1])
+    assert (solver.saved()[0] == led[0]).all()

@@ -15,6 +15,9 @@ from scipy.linalg import eigh
 _SAME = 1e-3
 # A stable equilibrium this near to the measured shape is the rod's.
 _NEAR = 0.05
+# A rod is far from its measured shape at so many times the distance of the one in the middle;
+# another equilibrium is nearer by a factor.
+_FAR, _NEARER = 4.0, 2.0
 # Size of the push off a saddle, over the free length.
 _PUSH = 0.02
 # What falls off one saddle may land on another.
@@ -56,9 +59,31 @@ def from_measured(solver, setups, shape: np.ndarray) -> tuple[_Tried, np.ndarray
     leaves no doubt: stable, near that shape, and not twisted by half a turn, which may go both
     ways."""
     tried = _Tried(solver, _relaxed(solver, setups, shape), shape, "measured")
-    near = tried.away < _NEAR * float(np.real(setups[0].length))
     twist = np.abs(solver.total_twist()) < 0.9 * np.pi
-    return tried, tried.reached & (tried.negative == 0) & near & twist
+    return tried, _stands_near(tried, setups) & twist
+
+
+def _stands_near(tried: _Tried, setups) -> np.ndarray:
+    near = tried.away < _NEAR * float(np.real(setups[0].length))
+    return tried.reached & (tried.negative == 0) & near
+
+
+def to_measured(solver, setups, shape: np.ndarray) -> None:
+    """Put rods that stand far from their measured shapes, where others do not, on another
+    equilibrium beside that shape, if there is one that is nearer: also one that is wound by a whole
+    turn more or less, of which poses say nothing."""
+    led = _Tried(solver, np.ones(len(shape), dtype=bool), shape, "led")
+    far = led.away > max(_FAR * np.median(led.away), _SAME * float(np.real(setups[0].length)))
+    if not far.any():
+        return
+    state, off = led.state, led.away.copy()
+    wound = -np.sign(solver.total_twist())
+    for turns in (0.0 * wound, wound):
+        tried = _Tried(solver, _relaxed(solver, setups, shape, turns=turns), shape, "measured")
+        nearer = far & _stands_near(tried, setups) & (_NEARER * tried.away < off)
+        solver.restore(state)
+        solver.restore(tried.state, nearer)
+        state, off = solver.saved(), np.where(nearer, tried.away, off)
 
 
 def settle(
@@ -122,9 +147,9 @@ def _chosen(solver, tried: list[_Tried], length: float) -> list[Branch]:
     return out
 
 
-def _relaxed(solver, setups, shape: np.ndarray, state=None) -> np.ndarray:
+def _relaxed(solver, setups, shape: np.ndarray, state=None, turns=0.0) -> np.ndarray:
     """Bring every rod to equilibrium from a shape; (rod,) whether it got there."""
-    solver.shape_to(setups, shape, state)
+    solver.shape_to(setups, shape, state, turns)
     return solver.relax(setups)
 
 

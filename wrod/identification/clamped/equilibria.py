@@ -191,9 +191,12 @@ class ClampedSolver:
                 "length, L_gb and the poses"
             )
 
-    def shape_to(self, setups: Sequence[ClampedSetup], shape: np.ndarray, state=None) -> None:
+    def shape_to(
+        self, setups: Sequence[ClampedSetup], shape: np.ndarray, state=None, turns=0.0
+    ) -> None:
         """Put the rods' (rod, node, 3) nodes between the clamps somewhere, the clamps to their
-        poses, and the twist evenly along them; or leave it as in a saved `state`."""
+        poses, and the twist evenly along them, with so many (rod,) whole turns more; or leave it as
+        in a saved `state`."""
         self._assign(setups)
         clamp, grip = end_poses(setups)
         (a, ra), (b, rb) = clamp, grip
@@ -207,7 +210,8 @@ class ClampedSolver:
             batch.set_configuration(nodes, director=ra[:, :, 0])
             dof = self._prescribed(clamp, grip, setups)
             share = np.linspace(0.0, 1.0, dof[:, 3::4].shape[1])
-            dof[:, 3::4] = dof[:, 3:4] + share * (dof[:, -4:-3] - dof[:, 3:4])
+            whole = 2 * np.pi * np.broadcast_to(turns, len(dof))[:, None]
+            dof[:, 3::4] = dof[:, 3:4] + share * (dof[:, -4:-3] + whole - dof[:, 3:4])
             batch.state.dof.assign(dof)
             self.principal = np.repeat(
                 np.real([s.principal_angle for s in setups]), self.trial_count

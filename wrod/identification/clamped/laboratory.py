@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wrod.errors import DataError
-from wrod.identification.clamped.branches import from_measured
+from wrod.identification.clamped.branches import from_measured, to_measured
 from wrod.identification.clamped.clock import Clock
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.layout import COMPLEX_STEP
@@ -189,6 +189,7 @@ class Laboratory:
                 else:
                     break
             else:
+                to_measured(solver, [setup], base.measured)
                 return setup
             solver.restore(first)
             if not walk:
