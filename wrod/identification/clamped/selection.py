@@ -237,9 +237,9 @@ def _at_noise(laboratory: Laboratory, fit: Fit) -> bool:
         rms = laboratory.rms(laboratory.predict(*found), m.train)
         if rms <= at_noise_of(laboratory) * m.noise_floor:
             return True
-        # Of the many numbers of a profile some would be a print's. An effect is the same in every
-        # trial: it takes nothing of what changes.
-        return not has_profile(fit.model) and any(what_is_left(laboratory, *found, m.train))
+        # Of the many numbers of a profile some would be a print's. What seems to change from trial
+        # to trial may be an effect that is not tried yet: a pull is another force in each.
+        return not has_profile(fit.model) and bool(what_is_left(laboratory, *found, m.train)[0])
     except DataError:  # a trial that is not fitted has no equilibrium with it
         return False
 
