@@ -300,6 +300,7 @@ def _descended(share: float, lgb: float, ahead: bool = True, floor: float = 0.0,
         """Three numbers that had better be 2; of what that promises a share comes true, and a floor
         is left."""
 
+        alone = True
         corrections = SimpleNamespace(count=1, lgb=lgb)
 
         def at(self, x):
@@ -344,7 +345,10 @@ def test_from_far_off_bends_are_corrected_one_after_the_other():
         cost, task = 1e-9 * np.eye(3), SimpleNamespace(pattern=SimpleNamespace(length=9.0))
         corrections = SimpleNamespace(count=1, lgb=1.0)
 
-        def at(self, x, end=np.inf):
+        def fixed(self, before):
+            return int(np.sum(3.0 * np.arange(3) < before))
+
+        def at(self, x, end=np.inf, fixed=0):
             asked.append(end)
             counts = (3.0 * np.arange(1, 4) <= end + 1e-9).repeat(2)
 
@@ -357,6 +361,7 @@ def test_from_far_off_bends_are_corrected_one_after_the_other():
             rates = counts[:, None] * np.array([joints(x + d) - joints(x - d) for d in nudges]).T
             rates /= 2e-6
             size = np.hypot(*error.reshape(-1, 2).T).sum() / counts[::2].sum()
+            rates[:, :fixed] = 0.0
             matrix, slope = rates.T @ rates + self.cost, rates.T @ error
             value = 0.5 * float(error @ error)
             return State(x, np.array([size]), size, value, matrix, slope)
@@ -367,14 +372,35 @@ def test_from_far_off_bends_are_corrected_one_after_the_other():
     states, _ = ended.value.value
     assert states[0].measure > 1.0 and states[-1].measure < 0.05 * states[0].measure
     finite = [end for end in asked if np.isfinite(end)]
-    assert finite == sorted(finite) and set(finite) == {3.0, 6.0}
-    assert np.isinf(asked[0])
+    assert finite == sorted(finite) and set(finite) == {3.0, 6.0, 9.0}
+    assert np.isinf(asked[0]) and np.isinf(asked[-1])
     # Of many plans that are made together what is far is left.
     Arm.alone = False
     asked.clear()
     with pytest.raises(StopIteration):
         next(descend(Arm(), False))
     assert np.isinf(asked).all()
+
+
+def test_a_bend_is_laid_from_where_the_last_one_ended(bend):
+    """As if all had been laid anew, with the derivatives by what is not fixed."""
+    pattern, trajectory = bend
+    corrections = Corrections(pattern, trajectory, ROD.gravito_bending_length, 0.05)
+    task, spread = Task(pattern, ROD, trajectory, 0.3), Spread.of(0.3)
+    on, whole = (descent.Problem(task, corrections, spread, 2, True) for _ in range(2))
+    values = 0.1 * np.sin(np.arange(3.0 * corrections.count))
+    together.follow([on.at(values, 0.12)])
+    fixed = on.fixed(0.1)
+    assert 0 < fixed < len(values)
+    values[fixed:] += 0.1
+    (now,) = together.follow([on.at(values, 0.2, fixed)])
+    (same,) = together.follow([whole.at(values, 0.2)])
+    assert all(len(one.runs[1].moments) > 5 for one in on.remembered)
+    first, later = (one.remembered[0].runs for one in (on, whole))
+    assert first[1].moments[0] is first[0].moments[0] and len(later) == 1
+    assert now.errors == pytest.approx(same.errors, abs=1e-6)
+    assert now.slope[fixed:] == pytest.approx(same.slope[fixed:], rel=1e-3, abs=1e-5)
+    assert not now.step(1.0)[0][:fixed].any()
 
 
 def test_of_plans_with_several_remainders_that_is_taken_by_which_unseen_rods_lie_best(bend):

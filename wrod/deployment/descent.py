@@ -58,12 +58,12 @@ _ALIKE, _TOGETHER = 16, 112
 # An iteration that leaves more than this part of the error is the last, and one that would by its
 # model, of squares, is not tried.
 _DONE = 0.95
-# An error of more than this after such steps [L_gb] is far. Then all begins anew, and each time so
-# much more of the pattern counts [L_gb], fading out over the second length, for so many steps at
-# most, and rods are laid so far beyond: an early bend that springs off moves all that comes after
-# it, which says nothing of later ones. Corrections may be large, and cost this part of what they
-# cost otherwise.
-_FAR, _STRETCH, _FADE, _EACH, _BEYOND, _CHEAP = 0.2, 3.0, 0.5, 4, 2.0, 0.1
+# An error of more than this after such steps [L_gb] is far; so many times as much is after the least
+# number of them. Then all begins anew, and each time so much more of the pattern counts [L_gb],
+# fading out over the next length, for so many steps at most, and rods are laid so far beyond: an
+# early bend that springs off moves all that comes after it, which says nothing of later ones.
+# Corrections may be large, and cost this part of what they cost otherwise.
+_FAR, _HOPELESS, _STRETCH, _FADE, _EACH, _BEYOND, _CHEAP = 0.2, 2.0, 3.0, 0.5, 4, 2.0, 0.1
 # Corrections that begin so much before what counted last stay as they are meanwhile [L_gb]: what is
 # laid before them is not laid again.
 _BEHIND = 4.0
@@ -198,7 +198,7 @@ class Problem:
         before += self.corrections.trajectory.remainder_length
         return 3 * int(np.sum(laid < before))
 
-    def _state(self, values: np.ndarray, laid: list[Laid], end: float, fixed: int) -> State:
+    def _state(self, values: np.ndarray, laid: list[Laid], end: float, fixed: int = 0) -> State:
         task, corrections = self.task, self.corrections
         parts = [misplacement(task.pattern, one) for one in laid]
         parts = [(error, np.pad(rates, ((0, 0), (fixed, 0)))) for error, rates in parts]
@@ -279,16 +279,19 @@ def descend(problem: Problem, ahead: bool) -> Course[tuple[list[State], list[np.
     """Corrections from none on, each better than the last or tried in vain; with `ahead` the last
     of them is not laid but comes beside the others."""
     states = [(yield from problem.at(np.zeros(3 * problem.corrections.count)))]
-    last = yield from _steps(problem, states, ahead)
-    far = min(one.measure for one in states) > _FAR * problem.corrections.lgb
-    if far and problem.alone:
+    far = _FAR * problem.corrections.lgb
+    last = yield from _steps(problem, states, ahead, _HOPELESS * far if problem.alone else np.inf)
+    if min(one.measure for one in states) > far and problem.alone:
         states.append((yield from _bend_by_bend(problem)))
         last = yield from _steps(problem, states, ahead)
     return states, last
 
 
-def _steps(problem: Problem, states: list[State], ahead: bool) -> Course[list[np.ndarray]]:
-    """Adds what further steps from the best of the states come to."""
+def _steps(
+    problem: Problem, states: list[State], ahead: bool, hopeless: float = np.inf
+) -> Course[list[np.ndarray]]:
+    """Adds what further steps from the best of the states come to, unless after the least number of
+    them that is `hopeless` [m]."""
     best, radius, last, as_said = min(states, key=lambda one: one.measure), _STEP, False, True
     for k in range(1, _MORE + 1):
         step, damped = best.step(radius)
@@ -307,7 +310,8 @@ def _steps(problem: Problem, states: list[State], ahead: bool) -> Course[list[np
         last |= k >= _STEPS and as_said and tried.measure > (1.0 - _SAVED) * best.measure
         idle = as_said and tried.measure > _DONE * best.measure
         best, radius = _better(best, tried, step, radius, damped)
-        if idle or (last and not ahead) or not radius > _SHORTEST:
+        given_up = k >= _STEPS and best.measure > hopeless
+        if idle or given_up or (last and not ahead) or not radius > _SHORTEST:
             break
     return []
 
