@@ -58,7 +58,7 @@ _ALIKE, _TOGETHER = 16, 112
 # An iteration that leaves more than this part of the error is the last, and one that would by its
 # model, of squares, is not tried.
 _DONE = 0.95
-# An error of more than this after such steps [L_gb] is far; so many times as much is after the least
+# An error of more than this after such steps [L_gb] is far, so many times as much after the least
 # number of them. Then all begins anew, and each time so much more of the pattern counts [L_gb],
 # fading out over the next length, for so many steps at most, and rods are laid so far beyond: an
 # early bend that springs off moves all that comes after it, which says nothing of later ones.
