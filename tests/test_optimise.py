@@ -389,17 +389,18 @@ def test_a_bend_is_laid_from_where_the_last_one_ended(bend):
     task, spread = Task(pattern, ROD, trajectory, 0.3), Spread.of(0.3)
     on, whole = (descent.Problem(task, corrections, spread, 2, True) for _ in range(2))
     values = 0.1 * np.sin(np.arange(3.0 * corrections.count))
-    together.follow([on.at(values, 0.12)])
     fixed = on.fixed(0.1)
     assert 0 < fixed < len(values)
+    together.follow([on.at(values, 0.12, fixed)])
     values[fixed:] += 0.1
-    (now,) = together.follow([on.at(values, 0.2, fixed)])
-    (same,) = together.follow([whole.at(values, 0.2)])
-    assert all(len(one.runs[1].moments) > 5 for one in on.remembered)
-    first, later = (one.remembered[0].runs for one in (on, whole))
-    assert first[1].moments[0] is first[0].moments[0] and len(later) == 1
-    assert now.errors == pytest.approx(same.errors, abs=1e-6)
-    assert now.slope[fixed:] == pytest.approx(same.slope[fixed:], rel=1e-3, abs=1e-5)
+    (now,) = together.follow([on.at(values, pattern.length, fixed)])
+    (same,) = together.follow([whole.at(values)])
+    for before, after in (one.runs for one in on.remembered):
+        assert after.moments[3] is before.moments[3]
+    # Steps end at other moments, and are solved to what changes what lies by 0.02 mm.
+    assert now.errors == pytest.approx(same.errors, abs=2e-5)
+    largest = np.abs(same.slope).max()
+    assert now.slope[fixed:] == pytest.approx(same.slope[fixed:], abs=2e-2 * largest)
     assert not now.step(1.0)[0][:fixed].any()
 
 

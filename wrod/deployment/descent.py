@@ -184,7 +184,7 @@ class Problem:
         columns = self.corrections.columns()[fixed:, : len(trials[0].trajectory)]
         directions = [Directions.of_path(columns)] * self.samples
         mesh = edged(COARSE, COARSE_EDGE * self.corrections.lgb)
-        if not np.isfinite(end):
+        if fixed == 0:
             return (yield self._meshed(trials, directions, mesh))
         # One mesh for all that is laid, so that more goes on from less.
         mesh = replace(mesh, laid=float(self.task.trajectory.arc_length[-1]))
