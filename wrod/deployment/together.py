@@ -111,8 +111,9 @@ def _laid(asked: dict[int, Asked], options: dict[str, Any]) -> dict[int, list[La
             for one, mesh in zip(ones, meshes, strict=True)
         )
         given = {**options, **ones[0].how, "discretisation": replace(meshes[0], node_count=nodes)}
-        if len(ones) == 1 and given["device"] == "cpu":
-            given["remembered"] = ones[0].remembered
+        known = ones[0].remembered if len(ones) == 1 else None
+        if known is not None and given["device"] == "cpu":
+            given["remembered"] = known
         given["release"] = [one.how.get("release") for one in ones for _ in one.trials]
         laid = lay(trials, directions, **given)
         for k, one in zip(members, ones, strict=True):
