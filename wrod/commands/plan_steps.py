@@ -21,7 +21,8 @@ def solve_grasps_of(
     from wrod.deployment.simulate import with_remainder_of
     from wrod.planning.shapes import with_shapes
 
-    with cost.progress_bar(unit="grasp", delay=1.0, desc="grasps") as bar, cost.ticking(bar):
+    what = "grasps" if friction is None else "grasps, corrected"
+    with cost.progress_bar(unit="grasp", delay=1.0, desc=what) as bar, cost.ticking(bar):
         progress = cost.counting(bar)
         trajectory = plan(
             fitted.pattern, fitted.rod, method, device=device, progress=progress,
