@@ -61,9 +61,8 @@ def plan(
 
     Args:
         pattern: where the rod is to lie.
-        rod: what is laid: a `RodMaterial`, or a `RodModel` whose properties may vary along it.
-            Of the second every grasp is that of the piece that hangs there, from the rod solver.
-            Its length ends at the grip: see `wrod.planning.hold.held_near` for a nearer one.
+        rod: what is laid, as far as the grip (`wrod.planning.hold.held_near`): a `RodMaterial`, or
+            a `RodModel` whose properties vary along it; its grasps are of the piece that hangs.
         method: "neural" (optimal grasps from the trained controller; of a naturally curved rod
             without a controller of its own, from the rod solver), "numeric" (from the rod solver),
             "auto" (neural where the controller was trained, numeric elsewhere) or "intuitive"
