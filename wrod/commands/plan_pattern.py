@@ -75,7 +75,8 @@ def fit(curve, rod, shaping: Shaping) -> Prepared:
             raise RodError(
                 f"--hold is {hold:g} m, and the rod is {rod.length:g} m long; hold it on the rod"
             )
-        notes.append(f"held at {hold:g} m; {rod.length - hold:.3f} m hang beyond the grip")
+        if hold < rod.length:
+            notes.append(f"held at {hold:g} m; {rod.length - hold:.3f} m hang beyond the grip")
         figures["beyond_grip"] = rod.length - hold
         rod = replace(rod, length=hold)
     if resize is not None:
