@@ -20,8 +20,8 @@ _BY_CURVATURE, _BY_SLOPE, _BEGIN_AND_END, _HOLD = 1.08, 3.4, 2.2, 0.05
 _LAID_BY, _LAYS = (0.1, 0.26, 0.55, 1.6), (0.25, 0.5, 1.0, 2.0)
 # What turns beyond that is corrected in so many steps, and in these with each radian, up to that
 # many radians; from more on, of two rods and of four, bend by bend, which takes as long as these:
-# some before, some after, and between them nine in which a way goes on from where another was.
-_STEPS, _MORE, _MOST, _BEND_BY_BEND = 2.0, 1.2, 2.0, 19.0
+# some before and after, and most between them are parts of the way.
+_STEPS, _MORE, _MOST, _BEND_BY_BEND = 2.0, 1.2, 2.0, 12.0
 _FAR = {2: 2.7, 4: 1.5}
 # Paths that are judged, by so many rods, and nodes of what hangs.
 _PATHS, _RODS, _HANGING = 2.2, 12, 30
