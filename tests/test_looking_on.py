@@ -1,5 +1,6 @@
 """A deployment that is looked at on the way, as somebody with a robot and a camera uses it."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -119,6 +120,29 @@ def test_pictures_that_are_none_of_this_rod_are_refused_and_change_nothing(bend,
     believed = loop.beliefs.account.mean
     assert np.isnan(loop.observe([]).misfit)  # nothing could be seen
     assert np.array_equal(loop.beliefs.account.mean, believed)
+
+
+def test_points_that_are_none_of_the_rod_are_left_out(bend, loop):
+    """A camera that takes something else for the same place of the rod, in every picture."""
+    cell, offsets = Cell(bend[0]), []
+    for wrong in (0.0, 8e-3):
+        mine = copy.deepcopy(loop)
+        cell.rng = np.random.default_rng(0)
+        for _ in range(2):
+            cell.go(mine)
+            pictures = [cell.picture(mine.laid) for _ in range(3)]
+            for at, xy in pictures if mine.looks else ():
+                xy[np.argmax(at == 0.04), 1] += wrong
+            look = mine.observe(pictures, noise=2e-4)
+        offsets.append(look.offset[1])
+        assert look.left_out == (3 if wrong else 0)
+    assert offsets[0] == pytest.approx(4e-3, abs=5e-4)
+    assert offsets[1] == pytest.approx(offsets[0], abs=2e-4)  # 0.7 mm where they count
+    # A few, and not whatever there is.
+    at = np.arange(0.0, 0.08, 0.01)
+    xy = np.column_stack([at, 6e-3 * (np.arange(len(at)) % 3 == 1)])
+    with pytest.raises(DataError, match="apart from their neighbours"):
+        loop.observe([(at, xy)], noise=2e-4, hanging=1e-3)
 
 
 def test_loops_of_other_plans_are_refused(bend):

@@ -56,6 +56,7 @@ class Look:
         seconds: of a processor to renew the beliefs by the pictures, and the path by these [s].
         kept: whether the path was kept, as others than were believed in, but as likely, are laid no
             better by the corrected one.
+        left_out: how many points lay apart from their neighbours, as no rod does.
         hurried: whether more time might have told or planned better, see `patience`.
         back: laid length to which the grip went back then [m]; None: it went on.
     """
@@ -71,8 +72,9 @@ class Look:
     varies: tuple[float, float]
     seconds: float
     kept: bool
-    hurried: bool = False
-    back: float | None = None
+    left_out: int
+    hurried: bool
+    back: float | None
 
 
 class FeedbackLoop:
@@ -197,7 +199,8 @@ class FeedbackLoop:
             pictures: taken while the grip stands, each with noise of its own: arc lengths (n,) from
                 the free end and places (n, 3) [m] of points of the rod in the pattern's frame, in
                 any order. Heights of what lies are not used; places (n, 2) are of what lies, and
-                those beyond the contact are left out. None at all: nothing could be seen.
+                those beyond the contact are left out, and so are those that lie apart from their
+                neighbours as no rod does. None at all: nothing could be seen.
             noise: standard deviation of each coordinate of what lies [m].
             hanging: of what hangs [m].
 
@@ -241,13 +244,17 @@ class FeedbackLoop:
         held: dict[str, Any] = {"release": gone + beliefs.hold} if first else {}
         began, misfit = process_time(), float("nan")
         beliefs.looking(self._patience)
+        left_out = 0
         if np.isfinite(stray):
             before = yield from beliefs.felt(path, **held)
             for k, seen in enumerate(pictures):
-                off = np.linalg.norm(told_by(before, at, seen)[2][: seen.laid, :2], axis=1)
-                if len(off) and off.mean() > stray * beliefs.rod.gravito_bending_length:
+                residual = told_by(before, at, seen)[2][: seen.laid, :2]
+                off = float(np.median(np.linalg.norm(residual, axis=1)))
+                pictures[k] = seen.smooth(residual, f"picture {k}")
+                left_out += seen.laid - pictures[k].laid
+                if off > stray * beliefs.rod.gravito_bending_length:
                     raise DataError(
-                        f"picture {k} has the rod {off.mean():.3g} m from where it is believed to "
+                        f"picture {k} has the rod {off:.3g} m from where it is believed to "
                         "lie, on average; give points in metres, in the pattern's frame"
                     )
         if pictures:
@@ -274,7 +281,7 @@ class FeedbackLoop:
         # arm hides: what nobody sees, nobody lays anew.
         self.gone = gone + self._every if gone + 1.5 * self._every < end else end
         seconds = process_time() - began
-        self.looks.append(_look(beliefs, path, at, misfit, seconds, kept, back))
+        self.looks.append(_look(beliefs, path, at, misfit, seconds, kept, left_out, back))
         return self.looks[-1]
 
 
@@ -285,6 +292,7 @@ def _look(
     misfit: float,
     seconds: float,
     kept: bool,
+    left_out: int,
     back: float | None,
 ) -> Look:
     trial = beliefs.trial(path)
@@ -303,6 +311,7 @@ def _look(
         (float(factor.min()), float(factor.max())),
         seconds,
         kept,
+        left_out,
         beliefs.hurried(),
         back,
     )

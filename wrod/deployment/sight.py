@@ -13,6 +13,12 @@ from wrod.errors import DataError, RodError
 # Points of a rod are no further apart than that much of what is between them along it, and so many
 # deviations of noise.
 _STRETCHED, _BEYOND = 1.1, 8.0
+# Where a point lies against where it is believed to, its neighbours do, but for so many deviations
+# of noise and so much of what is between them; up to this share of the points of a picture may be
+# no points of the rod.
+_APART, _TURNED, _FEW = 5.0, 0.05, 0.25
+# Points of which one can be told to be none of the rod.
+_LEAST = 4
 
 
 @dataclass(frozen=True)
@@ -127,6 +133,29 @@ class Seen:
                 f"{apart[k]:.4g} m apart; give metres, each point with its own arc length"
             )
         return cls(at, place, deviation, int(lies.sum()))
+
+    def smooth(self, residual: np.ndarray, where: str) -> Seen:
+        """Without those of what lies that are apart from their neighbours, as no rod is, by what
+        they are from where they are believed to lie (laid, 2) [m].
+
+        Raises:
+            DataError: these are more than a few.
+        """
+        n, at = self.laid, self.arc_length[: self.laid]
+        if n < _LEAST:
+            return self
+        steps = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+        beside = np.argsort(steps, axis=1, kind="stable")[:, 1:5]
+        apart = np.linalg.norm(residual - np.median(residual[beside], axis=1), axis=1)
+        far = np.abs(at[beside] - at[:, None]).max(axis=1)
+        kept = apart <= _APART * self.deviation[:n, 0] + _TURNED * far
+        if n - kept.sum() > _FEW * n:
+            raise DataError(
+                f"{where} has {n - kept.sum()} of {n} points apart from their neighbours; give "
+                "each point with its own arc length"
+            )
+        one = np.append(kept, np.ones(len(self.arc_length) - n, dtype=bool))
+        return Seen(self.arc_length[one], self.place[one], self.deviation[one], int(kept.sum()))
 
 
 def interpolated(arc_length: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
