@@ -104,8 +104,9 @@ class Beliefs:
         self.placed = np.zeros(3)
         # For what deployments are laid, and what these have come to on the way.
         self.about, self.remembered = 0.0 * same, Remembered()
-        # Processor time that a look may take, and what deployments had when it began [s].
-        self._patience, self._begun = np.inf, 0.0
+        # Processor time that a look may take, what deployments had when it began [s], and whether
+        # it was ended by that.
+        self._patience, self._begun, self.cut = np.inf, 0.0, False
 
     @property
     def account(self) -> Account:
@@ -146,11 +147,14 @@ class Beliefs:
 
     def looking(self, patience: float) -> None:
         """A look begins, which may take so much processor time [s]."""
-        self._patience, self._begun = patience, self.remembered.effort
+        self._patience, self._begun, self.cut = patience, self.remembered.effort, False
 
-    def hurried(self, share: float = 1.0) -> bool:
-        """Whether the look has taken such a share of its time; on a GPU it never has."""
-        return self.remembered.effort - self._begun > share * self._patience
+    def hurried(self, share: float) -> bool:
+        """Whether the look ends what it does as it has taken such a share of its time; on a GPU it
+        never has."""
+        late = self.remembered.effort - self._begun > share * self._patience
+        self.cut |= late
+        return late
 
     def know(self, friction: float, how: Disturbance, field: FrictionField | None) -> None:
         """Believe the truth."""

@@ -312,6 +312,6 @@ def _look(
         seconds,
         kept,
         left_out,
-        beliefs.hurried(),
+        beliefs.cut,
         back,
     )
