@@ -145,6 +145,20 @@ def test_points_that_are_none_of_the_rod_are_left_out(bend, loop):
         loop.observe([(at, xy)], noise=2e-4, hanging=1e-3)
 
 
+def test_a_look_takes_no_longer_than_it_may(bend, loop):
+    """What it has come to by then is believed, and gone on with."""
+    cell, took = Cell(bend[0]), []
+    cell.go(loop)
+    pictures = [cell.picture(loop.laid) for _ in range(3)]
+    for patience in (8.0, 1e-3):
+        mine = wrod.FeedbackLoop(bend[0], ROD, bend[1], 0.6, every=0.06, patience=patience)
+        look = mine.observe(pictures, noise=2e-4)
+        assert look.hurried == (patience < 1.0)
+        assert look.offset == pytest.approx((0.0, 0.004), abs=1e-3) and mine.ahead is not None
+        took.append(mine.beliefs.remembered.effort)
+    assert took[1] < 0.7 * took[0]
+
+
 def test_loops_of_other_plans_are_refused(bend):
     with pytest.raises(PatternError):
         wrod.FeedbackLoop(wrod.pattern("letter-L"), ROD, bend[1], 0.6)
