@@ -159,21 +159,25 @@ NAMES = ("internal_damping", "natural_curvature", "mass_gradient")
 
 
 @pytest.mark.slow
-def test_damping_and_natural_curvature_are_found(recorded):
+@pytest.mark.parametrize("more", [{}, {"relaxation": [0.03]}], ids=["", "relaxing"])
+def test_damping_and_natural_curvature_are_found(recorded, more):
     """In motions of the same rod on a mesh twice as fine with a third of the time step."""
     m = motion_from_arrays(recorded)
     fine = MotionLaboratory(m, subdivisions=4)
     fine.substeps = 3
     known = effects("motion")
-    model = Model(tuple(known[name] for name in TRUTH))
+    truth = TRUTH | more
+    model = Model(tuple(known[name] for name in truth))
     everything = fine.windows(range(m.recording_count))
-    moved = fine.predict(everything, model, np.concatenate(list(TRUTH.values())))
+    moved = fine.predict(everything, model, np.concatenate(list(truth.values())))
     moved[:, 2:] += np.random.default_rng(3).normal(0.0, 2e-5, moved[:, 2:].shape)
     data = _with(recorded, positions=moved)
-    report = identify_motion(motion_from_arrays(data), candidates=NAMES)
+    report = identify_motion(motion_from_arrays(data), candidates=(*NAMES, "relaxation"))
     content = report.to_dict()
     found = {e["name"]: e["parameters"] for e in content["effects"]}
-    assert set(found) == {"internal_damping", "natural_curvature"}
+    assert set(found) == {"internal_damping", "natural_curvature", *more}
+    for name, (value,) in more.items():
+        assert found[name]["relaxation_time"]["value"] == pytest.approx(value, rel=0.03)
     # Gentle motions: the bend is seen less than the damping, which the base model has already.
     assert content["after_mm"] < 0.3 * content["before_without_internal_damping_mm"]
     assert content["after_mm"] < 0.7 * content["before_mm"]
