@@ -280,7 +280,7 @@ def test_spread_is_what_a_rigid_motion_leaves():
 def test_mechanisms_of_waves_are_in_the_rod_both_ways_round():
     from wrod.bench.photographs_waves import _height, mechanisms
 
-    every = {(one.cause, one.sense): one for one in mechanisms("rope")}
+    every = {(one.cause, one.sense): one for one in mechanisms("rope", 9.0)}
     assert {sense for cause, sense in every if cause.startswith("hung")} == {"left", "right"}
     rods = {key: one.rod("rope") for key, one in every.items()}
     left, right = (rods["bends set in, in the plane", sense] for sense in ("left", "right"))

@@ -30,8 +30,8 @@ _ROUNDS = 30
 # A bend that is small [1/m].
 _SLIGHT = 1e-3
 # What of a line is looked at [m], and the waves tried: growth [1/m] and length [m].
-_UNTIL = 0.48
-_RATES, _LENGTHS = np.linspace(-15.0, 10.0, 101), np.linspace(0.15, 0.7, 111)
+UNTIL = 0.48
+RATES, LENGTHS = np.linspace(-15.0, 10.0, 101), np.linspace(0.15, 0.7, 111)
 # Waves that leave so much more than the best (root mean square) are allowed.
 _ALLOWED = 1.25
 
@@ -152,26 +152,33 @@ class SeenWave:
 def seen_wave(points: np.ndarray) -> SeenWave:
     """Of a line laid towards -y, (n, 2) [m]."""
     along, across = -points[:, 1], points[:, 0]
-    along, across = along[along < _UNTIL], across[along < _UNTIL]
-    middle = 0.5 * _UNTIL
-    left = np.empty((len(_RATES), len(_LENGTHS)))
-    for i, rate in enumerate(_RATES):
-        for j, length in enumerate(_LENGTHS):
-            fit = _wave(along - middle, rate, length)
-            found = np.linalg.lstsq(fit, across, rcond=None)[0]
-            left[i, j] = np.sqrt(np.mean((fit @ found - across) ** 2))
+    along, across = along[along < UNTIL], across[along < UNTIL]
+    middle = 0.5 * UNTIL
+    left = left_by_waves(along, across[:, None])[..., 0]
     i, j = np.unravel_index(left.argmin(), left.shape)
-    rate, length, least = float(_RATES[i]), float(_LENGTHS[j]), float(left[i, j])
+    rate, length, least = float(RATES[i]), float(LENGTHS[j]), float(left[i, j])
     best = np.linalg.lstsq(_wave(along - middle, rate, length), across, rcond=None)[0]
-    at = np.linspace(along.min(), _UNTIL, 200)
+    at = np.linspace(along.min(), UNTIL, 200)
     slope = np.polyval(np.polyfit(along, across, 1), along)
     near = np.nonzero(left <= _ALLOWED * least)
     return SeenWave(
         rate, length, float(np.hypot(*best[2:])), least,
         float(np.sqrt(np.mean((across - slope) ** 2))),
-        np.column_stack([_RATES[near[0]], _LENGTHS[near[1]]]),
+        np.column_stack([RATES[near[0]], LENGTHS[near[1]]]),
         at, _wave(at - middle, rate, length) @ best,
     )  # fmt: skip
+
+
+def left_by_waves(along: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """(rate, length, m) root mean square that every wave of `RATES` and `LENGTHS` on a slope leaves
+    of lines (n, m) at (n,) [m]."""
+    left = np.empty((len(RATES), len(LENGTHS), across.shape[1]))
+    for i, rate in enumerate(RATES):
+        for j, length in enumerate(LENGTHS):
+            fit = _wave(along - 0.5 * UNTIL, rate, length)
+            off = fit @ np.linalg.lstsq(fit, across, rcond=None)[0] - across
+            left[i, j] = np.sqrt(np.mean(off**2, axis=0))
+    return left
 
 
 def _wave(s: np.ndarray, rate: float, length: float) -> np.ndarray:

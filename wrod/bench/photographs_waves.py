@@ -1,13 +1,22 @@
 """What makes straight lines of INT wave: mechanisms one by one, for `wrod bench photographs`."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wrod.bench.photographs_deployments import Deployments
+from wrod.bench.photographs_irregular import (
+    LAID,
+    bends,
+    irregular,
+    scatter,
+    scatter_table,
+)
 from wrod.bench.photographs_judge import Verdict
+from wrod.bench.photographs_mode import seen_wave
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.files import write_figure
@@ -29,7 +38,10 @@ from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 from wrod.solvers.contact import Friction
 
-RODS, PATTERNS = ("rope", "pink-vps", "green-vps"), ("line", "letterU", "circle")
+RODS = ("rope", "pink-vps", "green-vps")
+OTHERS = ("circle", "sine", "letterU", "letterC", "letterL", "letterA")
+PATTERNS = ("line", *OTHERS)
+_STRAIGHT = "straight, its start held"
 # Length of the rope's and pink's waves as they are seen, and its phase in the rope [m].
 _WAVE, _PHASE = 0.28, 0.045
 # Ways round that a rod may be rolled in the grip.
@@ -40,6 +52,8 @@ _SHAKE = 5e-3
 _TOGETHER = 16
 # Of those that sway, at most [s].
 _FAST_STEP = 0.0125
+# What is not laid to its end counts as so far off [m].
+_FAR = 0.02
 # Where a line's wave is measured [m].
 _FROM, _TO = 0.05, 0.42
 
@@ -57,6 +71,7 @@ class Mechanism:
         twist: natural twist of a straight rod [rad/m].
         speed: of laying [m/s].
         shake: sideways amplitude of the grip, `_WAVE` long on the table [m].
+        random: root mean square of natural curvature at random [1/m], of the draw of that number.
     """
 
     cause: str
@@ -69,6 +84,8 @@ class Mechanism:
     twist: float = 0.0
     speed: float = 0.02
     shake: float = 0.0
+    random: float = 0.0
+    draw: int = 0
 
     def rod(self, name: str) -> RodModel:
         rod = self.scenario.damped(preset(name))
@@ -78,6 +95,8 @@ class Mechanism:
             s = np.linspace(0.0, rod.length, 120)
             bend = self.wave * np.cos(2.0 * np.pi * (s - _PHASE) / _WAVE)
             rod = replace(rod, natural_curvature=(Profile(tuple(bend), tuple(s)), Profile((0.0,))))
+        if self.random:
+            rod = replace(rod, natural_curvature=bends(self.random, self.draw, rod.length))
         # Slow laying does not swing; what swings is damped as a rope in air is.
         return replace(rod, air_damping=0.3) if self.fast else rod
 
@@ -104,12 +123,13 @@ _OF_ROD: dict[str, tuple[tuple[float, ...], float, float]] = {
 }
 
 
-def mechanisms(rod: str = RODS[0]) -> list[Mechanism]:
-    """All that were looked at, each as many ways round as there are."""
+def mechanisms(rod: str, size: float) -> list[Mechanism]:
+    """All that were looked at, each as many ways round as there are; `size` of bends at random
+    [1/m]."""
     excesses, thin, bend = _OF_ROD[rod]
     straight = Scenario(0.4, radius_ratio=thin)
     held = replace(straight, held=True)
-    found = [Mechanism("straight, its start held", "", held)]
+    found = [Mechanism(_STRAIGHT, "", held)]
     for sense, roll in (("left", 0.0), ("right", np.pi)):
         bent = replace(straight, curvature=2.0, roll=float(roll))
         little, much = (replace(bent, excess=e) for e in (excesses[0], excesses[-1]))
@@ -140,6 +160,10 @@ def mechanisms(rod: str = RODS[0]) -> list[Mechanism]:
                     for hand, turns in (("left-handed", -1.0), ("right-handed", 1.0))
                 ),
             ]  # fmt: skip
+    found += [
+        Mechanism(f"bent at random by {size:.1f} /m", f"draw {k}", held, random=size, draw=k)
+        for k in range(LAID)
+    ]
     return found
 
 
@@ -150,28 +174,34 @@ def _rolled(k: int) -> str:
 def waves(
     photographs: list[LaidPhotograph], verdicts: list[Verdict], laid: Deployments, out: Path
 ) -> tuple[dict, list[Path]]:
-    """Lay every mechanism along the lines and U's of `RODS`; tables, and pictures of the lines."""
+    """Lay every mechanism along the patterns of `RODS`; tables, and pictures of the lines."""
     found: dict[str, Any] = {"rods": {}, "text": ""}
-    files = []
+    files, scattered = [], {}
     for rod in RODS:
         own = {p.pattern_name: p for p in photographs if p.rod == rod}
         if all(name in own for name in PATTERNS):
-            figures, path = _waves_of(rod, own, verdicts[0].camera, laid, out)
+            figures, path, scattered[rod] = _waves_of(rod, own, verdicts[0].camera, laid, out)
             found["rods"][rod] = figures
             found["text"] += figures.pop("text")
             files.append(path)
+    if scattered:
+        found["text"] += scatter_table(
+            {rod: row["irregular"] for rod, row in found["rods"].items()}, scattered
+        )
     return found, files
 
 
 def _waves_of(rod: str, own: dict[str, LaidPhotograph], camera: OverheadCamera, laid, out: Path):
-    every = [replace(one, scenario=laid.damped(one.scenario)) for one in mechanisms(rod)]
+    bent = irregular(rod, own["line"].points, seen_wave(own["line"].points))
+    every = [replace(one, scenario=laid.damped(one.scenario)) for one in mechanisms(rod, bent.size)]
     groups, how = _laid_together(every), (laid.mesh, laid.device)
     jobs = [(own[name], group, *how) for name in PATTERNS for group in groups]
-    placed = {
-        (one.cause, one.sense, p.pattern_name): _placed(p, where, camera)
+    where = {
+        (one.cause, one.sense, p.pattern_name): rod
         for (p, group, *_), rods in zip(jobs, laid.map(_lay, jobs), strict=True)
-        for one, where in zip(group, rods, strict=True)
+        for one, rod in zip(group, rods, strict=True)
     }
+    placed = {key: _placed(own[key[2]], rod, camera) for key, rod in where.items()}
     rows: list[dict[str, Any]] = []
     for cause in dict.fromkeys(one.cause for one in every):
         senses = [one.sense for one in every if one.cause == cause]
@@ -186,30 +216,43 @@ def _waves_of(rod: str, own: dict[str, LaidPhotograph], camera: OverheadCamera, 
                 "height_mm": 0.0 if line is None else 1e3 * _height(line.curve),
                 # How a rod is rolled in the grip may differ from picture to picture.
                 **{
-                    f"{name}_mm": 1e3 * min(_mean(placed[cause, s, name]) for s in senses)
-                    for name in PATTERNS[1:]
+                    f"{name}_mm": [1e3 * _mean(placed[cause, s, name]) for s in senses]
+                    for name in OTHERS
                 },
             }
         )
     seen = 1e3 * _height(own["line"].points)
-    others = " | ".join(PATTERNS[1:])
     text = [
         f"The {rod}'s waves ({seen:.1f} mm from crest to trough), one mechanism at a time, each "
         "picture in the best of its senses [mm]",
         "",
-        f"| mechanism (the line's best sense) | senses | line | its height | {others} |",
-        f"| --- | --- | --- | --- |{' --- |' * len(PATTERNS[1:])}",
+        "| mechanism (the line's best sense) | senses | line | its height | others, best | all |",
+        "| --- | --- | --- | --- | --- | --- |",
         *(
             f"| {r['cause']}{r['sense'] and ', ' + r['sense']} | {r['senses']} | "
-            f"{r['line_mm']:.1f} | {r['height_mm']:.0f} | "
-            + " | ".join(f"{r[f'{name}_mm']:.1f}" for name in PATTERNS[1:])
-            + " |"
+            f"{r['line_mm']:.1f} | {r['height_mm']:.0f} | {_others(r, min):.1f} | "
+            f"{_others(r, np.mean):.1f} |"
             for r in rows
         ),
     ]
     lines = {row["cause"]: placed[row["cause"], row["sense"], "line"] for row in rows}
     path = _draw(own["line"], lines, out / f"waves-{rod}.png")
-    return {"rows": rows, "seen_mm": seen, "text": "\n".join(text) + "\n\n"}, path
+    drawn = [one for one in every if one.random]
+    far = {
+        name: scatter(
+            own[name], where[_STRAIGHT, "", name],
+            [where[one.cause, one.sense, name] for one in drawn], camera,
+        )
+        for name in PATTERNS
+    }  # fmt: skip
+    figures = {"rows": rows, "seen_mm": seen, "irregular": asdict(bent)}
+    figures["scatter"] = {name: asdict(one) for name, one in far.items()}
+    return {**figures, "text": "\n".join(text) + "\n\n"}, path, far
+
+
+def _others(row: dict, over: Callable) -> float:
+    """Mean over the other patterns of what `over` says of the senses [mm]."""
+    return float(np.mean([over(np.minimum(row[f"{name}_mm"], 1e3 * _FAR)) for name in OTHERS]))
 
 
 def _laid_together(every: list[Mechanism]) -> list[list[Mechanism]]:

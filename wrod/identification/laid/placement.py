@@ -79,6 +79,13 @@ def foot(photograph: LaidPhotograph, placed: Alignment, arc_length: np.ndarray) 
     return _fine(arc_length)[cKDTree(placed.curve).query(photograph.points)[1]]
 
 
+def shown_at(curve: np.ndarray, arc_length: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """(m, 2) of a curve that `seen_from` shows of a rod (node,), at arc lengths (m,) [m]; where it
+    shows no more, the curve's last place."""
+    s = _fine(arc_length)[: len(curve)]
+    return np.column_stack([np.interp(at, s, c) for c in curve.T])
+
+
 def _fine(arc_length: np.ndarray) -> np.ndarray:
     """Arc lengths at which a predicted curve is shown [m]."""
     return np.linspace(arc_length[0], arc_length[-1], int(np.ptp(arc_length) / _SPACING) + 2)
