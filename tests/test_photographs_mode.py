@@ -8,12 +8,17 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.interpolate import CubicSpline
 
 import wrod
+from wrod.bench import photographs_irregular
+from wrod.bench.photographs_irregular import CORRELATED, bends, irregular, scatter
 from wrod.bench.photographs_mode import bend, gain, intuitive, mode, seen_wave
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.grasps.growth import departures
-from wrod.identification.laid.scenario import Scenario, plan_without_lead_in
+from wrod.identification.laid.camera import OverheadCamera
+from wrod.identification.laid.photographs import LaidPhotograph
+from wrod.identification.laid.scenario import LaidRod, Scenario, plan_without_lead_in
 from wrod.planning.tail import Tail
+from wrod.rods.profile import Profile
 
 GREEN = wrod.rod("green-vps")
 LGB = GREEN.gravito_bending_length
@@ -129,3 +134,64 @@ def test_a_seen_wave_is_found():
     assert seen.rate == pytest.approx(-3.0, abs=0.3)
     assert seen.amplitude == pytest.approx(4e-3, rel=0.03)
     assert seen.left == pytest.approx(1e-4, rel=0.2) and seen.slope_left > 1e-3
+
+
+def test_bends_at_random_have_their_size_and_keep_as_long_as_said():
+    s = np.linspace(0.0, 0.8, 81)
+    many = np.array([[one(s) for one in bends(3.0, draw, 0.8)] for draw in range(60)]).reshape(
+        -1, 81
+    )
+    assert np.sqrt(np.mean(many**2)) == pytest.approx(3.0, rel=0.05)
+    later = np.mean(many[:, 3:] * many[:, :-3]) / np.mean(many**2)  # 3 cm
+    assert later == pytest.approx(np.exp(-0.25 * (0.03 / CORRELATED) ** 2), abs=0.02)
+
+
+def test_a_rod_bent_in_waves_is_laid_as_high_as_to_first_order():
+    """A simulated deployment, against what sizes of random bends are found by."""
+    length, stop = 0.2, 0.7
+    line = wrod.Pattern.from_expression("0*x", start=0.0, stop=stop)
+    path = plan_without_lead_in(line, GREEN, "intuitive")
+    straight = Scenario(held=True).damped(GREEN)
+    s = np.linspace(0.0, straight.length, 240)
+    bent = Profile(tuple(np.cos(2.0 * np.pi * s / length)), tuple(s))
+    rod = replace(straight, natural_curvature=(bent, Profile((0.0,))))
+    trial = Trial(line, rod, path, wrod.Friction(1.0), tail=Tail.none(path), another_rod=True)
+    (laid,) = simulate_deployments([trial], discretisation=Discretisation(0.01, 0.025))
+    at = np.linspace(0.35, 0.62, 200)  # where the start is forgotten
+    turn = 2.0 * np.pi * at / length
+    wave = np.column_stack([np.ones(200), at, np.cos(turn), np.sin(turn)])
+    found = np.linalg.lstsq(wave, np.interp(at, *laid.centerline.T[:2]), rcond=None)[0]
+    batch = intuitive([GREEN], np.array([0.45]), np.zeros(1))
+    expected = bend(batch, departures(batch), length)[0]
+    assert np.hypot(*found[2:]) == pytest.approx(expected, rel=0.05)
+
+
+def test_sizes_of_random_bends_go_with_the_line_seen(monkeypatch):
+    monkeypatch.setattr(photographs_irregular, "_WAVES", 16)
+    s = np.linspace(0.0, 0.47, 100)
+    one, two = (
+        irregular("green-vps", points, seen_wave(points))
+        for points in (np.column_stack([h * np.sin(20.0 * s), -s]) for h in (3e-3, 6e-3))
+    )
+    assert two.size == pytest.approx(2.0 * one.size) and two.wavelength == one.wavelength
+    assert two.aside == pytest.approx(2.0 * one.aside)
+
+
+def test_scatter_is_the_distance_after_a_rigid_motion():
+    line = wrod.Pattern.from_expression("0*x", start=0.0, stop=0.5)
+    s = np.linspace(0.0, 0.5, 51)
+    lying = np.column_stack([s, 0.0 * s, 0.0 * s])
+    shown = LaidPhotograph("a-line-int", "a", "line", "int", line, lying[:, :2], np.ones(51, bool),
+                           np.full(51, 3e-4), 0.0, 1.0, np.zeros(2))  # fmt: skip
+    straight = LaidRod(s, lying, True)
+    moved = lying @ np.array([[1.0, 0.02, 0.0], [-0.02, 1.0, 0.0], [0, 0, 1]]) + [0.0, 5e-3, 0.0]
+    bow = lying + np.column_stack([0.0 * s, 0.1 * (s - 0.25) ** 2, 0.0 * s])
+    lost = LaidRod(s, np.full((51, 3), 9.0), False)
+    rods = [LaidRod(s, moved, True), LaidRod(s, bow, True), lost]
+    found = scatter(shown, straight, rods, OverheadCamera())
+    # Curves are compared at points 0.5 mm apart.
+    assert found.seen < 2e-4 and found.drawn[0] < 2e-4 and len(found.drawn) == 2
+    # Half of a bow of 6.25 mm lies on either side of a line at 1.56 mm.
+    height = 0.1 * (s - 0.25) ** 2
+    assert found.drawn[1] == pytest.approx(np.abs(height - np.median(height)).mean(), rel=0.05)
+    assert found.within == 1.0

@@ -172,13 +172,12 @@ def seen_wave(points: np.ndarray) -> SeenWave:
 def left_by_waves(along: np.ndarray, across: np.ndarray) -> np.ndarray:
     """(rate, length, m) root mean square that every wave of `RATES` and `LENGTHS` on a slope leaves
     of lines (n, m) at (n,) [m]."""
-    left = np.empty((len(RATES), len(LENGTHS), across.shape[1]))
-    for i, rate in enumerate(RATES):
-        for j, length in enumerate(LENGTHS):
-            fit = _wave(along - 0.5 * UNTIL, rate, length)
-            off = fit @ np.linalg.lstsq(fit, across, rcond=None)[0] - across
-            left[i, j] = np.sqrt(np.mean(off**2, axis=0))
-    return left
+    square, left = np.sum(across**2, axis=0), []
+    for rate in RATES:
+        fits = np.stack([_wave(along - 0.5 * UNTIL, rate, length) for length in LENGTHS])
+        taken = np.linalg.qr(fits)[0].transpose(0, 2, 1) @ across
+        left.append(square - np.sum(taken**2, axis=1))
+    return np.sqrt(np.maximum(left, 0.0) / len(along))
 
 
 def _wave(s: np.ndarray, rate: float, length: float) -> np.ndarray:
