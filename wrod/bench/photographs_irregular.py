@@ -35,8 +35,6 @@ _WAVES, _LONGEST, _POINTS = 80, 2.0, 240
 # Where on the line the mode is taken [m].
 _AT = 0.3
 _SHARES = (10, 50, 90)
-# The bar of the mean distance [m].
-_BAR = 2.5e-3
 
 
 def _spectrum() -> tuple[np.ndarray, np.ndarray]:
@@ -118,15 +116,11 @@ class Scatter:
     drawn: tuple[float, ...]
 
     @property
-    def usual(self) -> bool:
-        """Whether the photographed rod lies as far off as the middle 80 % of those drawn."""
+    def rank(self) -> int:
+        """0 where the photographed rod lies as far off as the middle 80 % of those drawn, -1 where
+        nearer, 1 where farther."""
         low, _, high = np.percentile(self.drawn, _SHARES)
-        return bool(low <= self.seen <= high)
-
-    @property
-    def within(self) -> float:
-        """Share of those drawn that are within the bar."""
-        return float(np.mean(np.array(self.drawn) <= _BAR))
+        return int(self.seen > high) - int(self.seen < low)
 
 
 def scatter(
@@ -151,8 +145,7 @@ def scatter(
 
 
 def scatter_table(sizes: dict[str, dict], scatters: dict[str, dict[str, Scatter]]) -> str:
-    """Tables by rod of `irregular`'s figures and of {pattern: `Scatter`}, and what follows of how
-    many pictures are within the bar."""
+    """Tables by rod of `irregular`'s figures and of {pattern: `Scatter`}."""
     lines = ["Rods bent at random: what a line would be laid in (10, 50, 90 %)", ""]
     lines += ["| rod | bends [1/m] (or grip aside [mm]) | length [m] | growth [1/m] | left |"]
     lines += ["| --- | --- | --- | --- | --- |"]
@@ -171,17 +164,10 @@ def scatter_table(sizes: dict[str, dict], scatters: dict[str, dict[str, Scatter]
             low, _, high = 1e3 * np.percentile(one.drawn, _SHARES)
             cells.append(f"{1e3 * one.seen:.1f} ({low:.1f} to {high:.1f})")
         lines.append(f"| {rod} | {' | '.join(cells)} |")
-    others = [one for far in scatters.values() for name, one in far.items() if name != "line"]
-    every = [one for far in scatters.values() for one in far.values()]
-    chance = np.ones(1)
-    for one in every:
-        chance = np.convolve(chance, [1.0 - one.within, one.within])
-    mean = sum(one.within for one in every)
+    others = [one.rank for far in scatters.values() for name, one in far.items() if name != "line"]
     lines += [
         "",
-        f"{sum(one.usual for one in others)} of {len(others)} pictures that are no lines lie as "
-        f"far off as the middle 80 % of those drawn; within {1e3 * _BAR:g} mm of a straight rod "
-        f"{mean:.1f} of {len(every)} are expected, 15 or more with probability "
-        f"{chance[15:].sum():.2f}.",
+        f"{others.count(0)} of {len(others)} pictures that are no lines lie as far off as the "
+        f"middle 80 % of those drawn, {others.count(-1)} nearer, {others.count(1)} farther.",
     ]
     return "\n".join(lines) + "\n"
