@@ -13,7 +13,7 @@ from wrod.knots.pull import HOLD, SETTLE, Pair, keep_up
 from wrod.knots.topology import recognise_pair
 from wrod.knots.trials import STILL
 from wrod.knots.workbench import Poses, Workbench
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 PAIR = [wrod.rod("green-vps"), wrod.rod("pink-vps-thick")]
 

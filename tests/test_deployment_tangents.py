@@ -11,7 +11,7 @@ from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Directions, lay
 from wrod.errors import RodError
 from wrod.rods.law import Softening, StandardLinearSolid
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.32)
 MESH = wrod.Discretisation(0.01, 0.02)

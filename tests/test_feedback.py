@@ -23,7 +23,7 @@ from wrod.deployment.together import follow
 from wrod.deployment.way import Way
 from wrod.errors import RodError
 from wrod.planning.tail import Tail
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 ROUGH = {"discretisation": replace(COARSE, tolerance=1e-5), "speed": PACE}
 

@@ -20,8 +20,9 @@ from wrod.deployment.trial import Trial
 from wrod.errors import PatternError
 from wrod.patterns.shapes import straight, strokes, turn
 from wrod.rods.batch import RodBatch
-from wrod.solvers.contact import Contact, Friction
+from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.friction import Friction
 from wrod.solvers.solids import Cylinder
 
 CABLE = wrod.rod("cable")

@@ -29,7 +29,7 @@ from wrod.deployment.spread import Spread
 from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.deployment.together import Asked, _laid
 from wrod.errors import GraspError, PatternError
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.36)
 MESH = wrod.Discretisation(0.01, 0.02)

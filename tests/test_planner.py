@@ -254,7 +254,7 @@ def test_grasps_that_know_the_twist_lay_a_spun_rod_where_the_table_holds_its_rol
     from wrod.planning.plan import plan_grasps
     from wrod.planning.tail import Tail
     from wrod.rods.model import RodModel
-    from wrod.solvers.contact import Friction
+    from wrod.solvers.friction import Friction
 
     pattern, rod = wrod.pattern("line"), wrod.rod("green-vps")
     how = dict(closure="zero_tension", spacing=0.01, roll="plane", controller=None, device="cpu")

@@ -10,8 +10,9 @@ from vps import RADIUS, STIFFNESS, WEIGHT, rods
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
 
 from wrod.rods.state import RodState
-from wrod.solvers.contact import Contact, Friction
+from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.friction import Friction
 from wrod.solvers.recording import launching, workers
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.statics import EquilibriumSolver, prescribe

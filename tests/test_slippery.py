@@ -75,7 +75,7 @@ def test_rods_put_down_exactly_are_compared_and_kept(tmp_path):
 def test_what_is_put_down_goes_with_the_robot_and_is_the_rod_of_the_trial():
     from wrod.bench.put_down import put_down
     from wrod.deployment.setup import Disturbance
-    from wrod.solvers.contact import Friction
+    from wrod.solvers.friction import Friction
 
     arc = wrod.Pattern.from_points(
         [(0.05 * np.sin(a), 0.05 * (1.0 - np.cos(a))) for a in np.linspace(0.0, np.pi, 60)]

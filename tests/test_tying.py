@@ -20,7 +20,7 @@ from wrod.knots.trials import Handling, TyingResult
 from wrod.knots.tying import tie
 from wrod.knots.tying_run import TyingRun
 from wrod.knots.workbench import Poses, Workbench
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 KNOTS = Path(wrod.__file__).parents[1] / "scenes" / "knots"
 ROD = wrod.RodMaterial(0.003, 0.03, 0.15)

@@ -10,7 +10,7 @@ import wrod
 from wrod.bench.mujoco_chain import chain, put_down_in_mujoco
 from wrod.bench.put_down import put_down
 from wrod.deployment.setup import Disturbance
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 ROD = wrod.rod("green-vps")
 LGB = ROD.gravito_bending_length

@@ -23,8 +23,8 @@ from wrod.errors import GraspError
 from wrod.patterns.curve import arc_length
 from wrod.rods.batch import RodBatch
 from wrod.rods.model import RodModel
-from wrod.solvers.contact import Friction
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.friction import Friction
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.statics import prescribe
 

@@ -9,9 +9,9 @@ from wrod.kernels.linear import dense_lanes
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import full_hessian
 from wrod.solvers.condensed import CondensedSystem
-from wrod.solvers.contact import Friction
 from wrod.solvers.coupled import CoupledSystem
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.friction import Friction
 from wrod.solvers.rod_contact import RodContact
 
 RODS, NODES, RADIUS = 4, 9, 0.09

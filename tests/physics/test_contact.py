@@ -19,8 +19,9 @@ from vps import (
 
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
-from wrod.solvers.contact import Contact, Friction, FrictionField
+from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import SCHEMES, Dynamics
+from wrod.solvers.friction import Friction, FrictionField
 from wrod.solvers.solids import Box, Cylinder, Plane
 
 

@@ -13,8 +13,9 @@ from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import quadratic_drag
 from wrod.rods.model import RodModel
 from wrod.rods.state import full_hessian
-from wrod.solvers.contact import Contact, Friction
+from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import SCHEMES, Dynamics
+from wrod.solvers.friction import Friction
 from wrod.solvers.solids import Box
 from wrod.solvers.statics import prescribe, solve_equilibria
 

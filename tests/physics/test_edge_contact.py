@@ -5,8 +5,9 @@ import pytest
 import warp as wp
 from vps import CONTACT, RADIUS, WEIGHT, G, Pull, half_turn, rods, rope, straight, tensions
 
-from wrod.solvers.contact import Contact, Friction
+from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.friction import Friction
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.solids import Box, Cylinder, Plane
 from wrod.solvers.statics import prescribe

@@ -8,9 +8,9 @@ from vps import rods as batch_of
 
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
-from wrod.solvers.contact import Friction
 from wrod.solvers.coupled import CoupledSystem
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.friction import Friction
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.statics import prescribe
 

@@ -57,7 +57,7 @@ def _cable(case, method, trials, device, folder):
     from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
     from wrod.planning.tail import tail
     from wrod.rods.catalogue import rod
-    from wrod.solvers.contact import Friction
+    from wrod.solvers.friction import Friction
 
     pattern, fixtures = cable_scene(case)
     material = rod("cable")

@@ -75,7 +75,7 @@ def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> d
     from wrod.knots.topology import recognise_pair
     from wrod.knots.trials import STILL
     from wrod.knots.workbench import Poses, Workbench
-    from wrod.solvers.contact import Friction
+    from wrod.solvers.friction import Friction
 
     lines, arcs = bend(name, rods, **shape)
     position = np.concatenate(lines)[None]

@@ -42,7 +42,7 @@ def command(
     from wrod.planning.tail import tail
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
-    from wrod.solvers.contact import Friction
+    from wrod.solvers.friction import Friction
 
     device = resolve_device(device)
     material, curve = rod(rod_name), pattern(name)

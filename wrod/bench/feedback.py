@@ -204,7 +204,7 @@ def _looks_told(rows: list[dict]) -> list[str]:
 def _half(middle: float):
     """Half the friction beyond that x [m]; one field for all rods on such a table, so that a GPU
     lays them together."""
-    from wrod.solvers.contact import FrictionField
+    from wrod.solvers.friction import FrictionField
 
     reach = (middle - _FAR, middle + _FAR)
     return FrictionField.of(
@@ -215,7 +215,7 @@ def _half(middle: float):
 def _world(effect: str, led, material, friction: float, seed: int, undisturbed: bool):
     from wrod.deployment.feedback import Plant
     from wrod.deployment.setup import Disturbance
-    from wrod.solvers.contact import Friction
+    from wrod.solvers.friction import Friction
 
     law = Friction(0.5 * friction if effect == "friction" else friction)
     how = Disturbance() if undisturbed else Disturbance.random(_FIRST_SEED + seed)

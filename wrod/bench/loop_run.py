@@ -32,7 +32,7 @@ from wrod.planning.roll import read_roll
 from wrod.rods.catalogue import rod
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 # The free end of a cable is held for so much of its L_gb; a green VPS rod's 5 cm are 1.6 of them.
 _HELD, _VPS_HELD = 1.5, 0.05

@@ -106,7 +106,7 @@ def _derived(led, material, friction: float, count: int, device: str) -> dict:
     from wrod.deployment.simulate import Trial
     from wrod.deployment.tangents import Directions, lay
     from wrod.planning.tail import Tail
-    from wrod.solvers.contact import Friction
+    from wrod.solvers.friction import Friction
 
     start = plan(led, material, spacing=0.005, remainder=False, device=device)
     columns = Corrections(led, start, material.gravito_bending_length, 0.05).columns()

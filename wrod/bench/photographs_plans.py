@@ -16,7 +16,7 @@ from wrod.files.ledger import Ledger
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.scenario import Scenario
 from wrod.rods.catalogue import rod as preset
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 _PLANS = ("rod believed", "rod found", "rod and table found")
 _KEYS = ("rod", "pattern", "plan", "scenario")

@@ -36,7 +36,7 @@ from wrod.rods.catalogue import rod as preset
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 RODS = ("rope", "pink-vps", "green-vps")
 OTHERS = ("circle", "sine", "letterU", "letterC", "letterL", "letterA")

@@ -123,7 +123,7 @@ def _reefs(count: int, rounds: int, device: str) -> dict:
     from wrod.bench.bend_shapes import bend
     from wrod.knots.workbench import Poses, Workbench
     from wrod.rods.catalogue import rod
-    from wrod.solvers.contact import Friction
+    from wrod.solvers.friction import Friction
 
     pair = [rod("green-vps"), rod("pink-vps-thick")]
     lines, arcs = bend("reef knot", pair)

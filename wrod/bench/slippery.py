@@ -295,7 +295,7 @@ def _course(shelf: Shelf, key: tuple, how: dict):
     from wrod.deployment.simulate import Trial
     from wrod.deployment.together import Asked
     from wrod.planning.tail import Tail
-    from wrod.solvers.contact import Friction
+    from wrod.solvers.friction import Friction
 
     rod_name, name, mu, method, engine, seed = key
     led, material = shelf.course(rod_name, name)

@@ -238,7 +238,7 @@ def _trial(key: tuple, plans: dict):
     from wrod.bench.table3_paper import friction
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial
-    from wrod.solvers.contact import Friction
+    from wrod.solvers.friction import Friction
 
     rod, substrate, name, _, trial = key
     cell = (RODS.index(rod) * 3 + SUBSTRATES.index(substrate)) * 7 + PATTERNS.index(name)

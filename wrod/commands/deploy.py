@@ -37,7 +37,7 @@ def command(
     the grip holding, and again after the grip laid the tail straight ahead and let go.
     """
     from wrod.deployment.fixtures import Fixtures
-    from wrod.solvers.contact import Friction
+    from wrod.solvers.friction import Friction
 
     planned.check()
     rod, curve = rod_options.read(), reading.read(pattern)

@@ -108,7 +108,7 @@ class Laying:
         from wrod.deployment.setup import Disturbance
         from wrod.deployment.simulate import Trial, simulate_deployments
         from wrod.planning.tail import tail
-        from wrod.solvers.contact import Friction
+        from wrod.solvers.friction import Friction
 
         law, rest = Friction(self.friction, self.kinetic, self.rolling), tail(curve, rod, path)
         ideal = self.trials == 1

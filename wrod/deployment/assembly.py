@@ -15,8 +15,9 @@ from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import directors_at_rest, quadratic_drag
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-from wrod.solvers.contact import Contact, FrictionField
+from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.friction import FrictionField
 from wrod.solvers.solids import Plane
 
 # The table gives way by this fraction of the radius under the rod's weight; where the rod touches

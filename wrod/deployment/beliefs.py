@@ -20,7 +20,7 @@ from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
-from wrod.solvers.contact import Friction, FrictionField
+from wrod.solvers.friction import Friction, FrictionField
 
 # Standard deviations of what may be wrong and nobody declared: of the logarithms of friction and
 # stiffness [-], natural curvature [1/m], and the robot's place [m] and yaw [rad].

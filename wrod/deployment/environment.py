@@ -28,7 +28,7 @@ from wrod.planning.trajectory import Trajectory
 from wrod.rods.device import OnDevice
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 with needed_extras():
     import gymnasium

@@ -19,7 +19,7 @@ from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 # How rods are laid where plans are made, where these are judged, and where what lies is compared
 # with a picture: points of the first two are 0.2 and 0.1 mm from those of edges of 5 mm and steps

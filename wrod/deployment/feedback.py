@@ -28,7 +28,7 @@ from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.records import checked_fields
 from wrod.rods.material import RodMaterial
-from wrod.solvers.contact import Friction, FrictionField
+from wrod.solvers.friction import Friction, FrictionField
 
 # For so long the plant's shaking is drawn [s]: what is past stays, however long it goes on.
 _SHAKING = 600.0

@@ -15,8 +15,9 @@ from wrod.rods.discretisation import directors_at_rest
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.state import node_positions
-from wrod.solvers.contact import Contact, Friction
+from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.friction import Friction
 
 # The table gives way by this part of the radius under the rod's weight, as in a deployment.
 _SINKING = 1.0 / 600.0

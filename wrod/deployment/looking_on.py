@@ -26,7 +26,7 @@ from wrod.errors import DataError, RodError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 # Poses of the grip that a deployment has at least.
 _LEAST_POSES = 3

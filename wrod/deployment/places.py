@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from wrod.patterns.pattern import Pattern
-from wrod.solvers.contact import FrictionField
+from wrod.solvers.friction import FrictionField
 
 # Over how far friction is much the same [m], its standard deviation where it varies, of its
 # logarithm, and the share of its variance under the pattern that the modes have.

@@ -31,7 +31,7 @@ from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.state import node_positions
 from wrod.solvers.compiling import compile_steps
-from wrod.solvers.contact import Friction, FrictionField
+from wrod.solvers.friction import Friction, FrictionField
 from wrod.solvers.readback import read
 from wrod.solvers.recording import launching
 

@@ -11,7 +11,7 @@ from wrod.deployment.table import friction_range
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 # Ranges of friction that call for more rods, by the largest over the least.
 _WIDE = 1.5

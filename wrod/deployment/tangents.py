@@ -24,7 +24,7 @@ from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import in_principal
 from wrod.rods.model import RodModel
 from wrod.rods.rotation import left_jacobian
-from wrod.solvers.contact import FrictionField
+from wrod.solvers.friction import FrictionField
 from wrod.solvers.recording import launching
 
 Watch = Callable[[np.ndarray], object]

@@ -12,7 +12,7 @@ from wrod.planning.trajectory import Trajectory
 from wrod.records import checked_fields
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 
 @checked_fields(

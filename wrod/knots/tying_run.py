@@ -19,7 +19,7 @@ from wrod.knots.workbench import TICK, Poses, Workbench
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 # A hand that reaches down: its x axis, the rod's tangent where it hangs from the hand, points up.
 _UPRIGHT = Rotation.from_matrix([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])

@@ -15,8 +15,9 @@ from wrod.rods.discretisation import end_to_end, mesh_arrays
 from wrod.rods.material import RodMaterial
 from wrod.rods.state import RodState
 from wrod.solvers.compiling import compile_steps
-from wrod.solvers.contact import Contact, Friction
+from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.friction import Friction
 from wrod.solvers.prescribed import carry_edges
 from wrod.solvers.readback import read
 from wrod.solvers.rod_contact import RodContact

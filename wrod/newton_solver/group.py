@@ -15,8 +15,8 @@ from wrod.newton_solver.tapes import off_tape
 from wrod.rods.state import RodState
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.compiling import compile_steps
-from wrod.solvers.contact import Friction
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.friction import Friction
 from wrod.solvers.inertia import rounding_of, usual_force
 from wrod.solvers.pair_adjoint import LawShares
 from wrod.solvers.rod_contact import RodContact

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import WrodWarning
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 from wrod.solvers.solids import (
     Box,
     Capsule,

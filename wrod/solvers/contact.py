@@ -20,8 +20,6 @@ from wrod.solvers.edge_contact import EdgeContact
 from wrod.solvers.friction import Friction, FrictionField, contact_damping
 from wrod.solvers.solids import Plane, shape_record
 
-__all__ = ["Contact", "Friction", "FrictionField"]
-
 _IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
 _IS_SHAPE = arguments.like("a Plane or a solid", "_describe")
 # One or a list of them.

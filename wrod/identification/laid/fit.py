@@ -23,7 +23,7 @@ from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 PARAMETERS = ("natural_curvature", "log_L_gb", "log_friction")
 # Of the rod, among which as few are taken as explain it.

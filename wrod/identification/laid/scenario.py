@@ -20,7 +20,7 @@ from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-from wrod.solvers.contact import Friction
+from wrod.solvers.friction import Friction
 
 # Length of the free end that is held along the pattern, where it is held [m].
 HELD = 0.05
