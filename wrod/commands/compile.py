@@ -29,7 +29,8 @@ _LONG = (
     "stepping.motion_tangents",
 )
 # What few commands launch: for rods that touch rods or what has edges, those that are curved by
-# nature or bodies of Newton's.
+# nature or bodies of Newton's. Gradients are for programs: no command launches an adjoint.
+_OF_GRADIENTS = "adjoint"
 _RARE = (
     "grasping.iteration:solve_general",
     "contact.depths",
@@ -69,8 +70,9 @@ def command(
 
     Kernels are compiled once on a machine, by whatever needs them first; here they are side by
     side. Left out on a CPU, unless --all is given, are those of knots, of fixtures with edges, of
-    the rod solver's grasps of naturally curved rods, and of Newton's solver; on a GPU those of its
-    gradients. What is there already is not compiled again. `make setup` does this.
+    the rod solver's grasps of naturally curved rods, of Newton's solver, and of gradients; on a GPU
+    those of Newton's solver's gradients. What is there already is not compiled again. `make setup`
+    does this.
     """
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -108,6 +110,7 @@ def _modules() -> list[str]:
 def _wanted(rare: bool) -> list[str]:
     """What to compile for a CPU: modules, and kernels that have their own ("module:kernel")."""
     first, last = ([f"wrod.kernels.{name}" for name in names] for names in (_LONG, _RARE))
+    last += [name for name in _modules() if name.endswith(_OF_GRADIENTS)]
     names = first + [name for name in _modules() if name not in first + last]
     return last[:2] + names + last[2:] if rare else names
 
