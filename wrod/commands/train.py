@@ -96,7 +96,7 @@ def command(
         rod=rod,
     )
     resumed = training.resume()
-    _train(training, out, resumed, minutes)
+    _train(training, resumed, minutes)
     controller = finished(
         training, dataset, test=test, seed=seed, device=device,
         # With --generate, the dataset is part of the one command.
@@ -168,7 +168,7 @@ def _cost(
     return replace(whole, seconds=whole.seconds + solved.seconds, disk=whole.disk + solved.disk)
 
 
-def _train(training, out: Path, resumed: bool, minutes: float | None) -> None:
+def _train(training, resumed: bool, minutes: float | None) -> None:
     total = training.recipe.steps
     with cost.progress_bar(unit="step", initial=training.step, total=total) as bar:
 
