@@ -144,7 +144,8 @@ class Layout:
                 if length > np.pi * radius[edge]:
                     break
                 out.append(edge)
-                length += left * rest[self.places["edge"][row, edge]]
+                if left:
+                    length += float(rest[self.places["edge"][row, edge]])
                 edge += way
         return out
 
