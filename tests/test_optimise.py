@@ -382,8 +382,8 @@ def test_from_far_off_bends_are_corrected_one_after_the_other():
     assert np.isinf(asked).all()
 
 
-def test_a_bend_is_laid_from_where_the_last_one_ended(bend):
-    """As if all had been laid anew, with the derivatives by what is not fixed."""
+def test_what_is_fixed_is_not_laid_again(bend):
+    """What follows lies as if all had been laid anew, with the derivatives by what is not fixed."""
     pattern, trajectory = bend
     corrections = Corrections(pattern, trajectory, ROD.gravito_bending_length, 0.05)
     task, spread = Task(pattern, ROD, trajectory, 0.3), Spread.of(0.3)
@@ -391,7 +391,7 @@ def test_a_bend_is_laid_from_where_the_last_one_ended(bend):
     values = 0.1 * np.sin(np.arange(3.0 * corrections.count))
     fixed = on.fixed(0.1)
     assert 0 < fixed < len(values)
-    together.follow([on.at(values, 0.12, fixed)])
+    together.follow([on.at(values, pattern.length, fixed)])
     values[fixed:] += 0.1
     (now,) = together.follow([on.at(values, pattern.length, fixed)])
     (same,) = together.follow([whole.at(values)])

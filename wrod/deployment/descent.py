@@ -184,12 +184,8 @@ class Problem:
         columns = self.corrections.columns()[fixed:, : len(trials[0].trajectory)]
         directions = [Directions.of_path(columns)] * self.samples
         mesh = edged(COARSE, COARSE_EDGE * self.corrections.lgb)
-        if fixed == 0:
-            return (yield self._meshed(trials, directions, mesh))
-        # One mesh for all that is laid, so that more goes on from less.
-        mesh = replace(mesh, laid=float(self.task.trajectory.arc_length[-1]))
         asked = self._meshed(trials, directions, mesh)
-        return (yield replace(asked, remembered=self.remembered))
+        return (yield replace(asked, remembered=self.remembered) if fixed else asked)
 
     def fixed(self, before: float) -> int:
         """How many values have a say before so much of the pattern is laid [m]."""
@@ -258,7 +254,7 @@ class Problem:
         return out
 
     def _meshed(self, trials: list[Trial], directions, mesh: Discretisation) -> Asked:
-        needed = max(nodes_needed(trials, mesh.spacing, mesh.laid), 0 if self.alone else _TOGETHER)
+        needed = max(nodes_needed(trials, mesh.spacing), 0 if self.alone else _TOGETHER)
         count = -(-needed // _ALIKE) * _ALIKE
         mesh = replace(mesh, tolerance=_TOLERANCE, node_count=count)
         return Asked(trials, directions, {"discretisation": mesh, "speed": self.task.pace})
