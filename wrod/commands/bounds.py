@@ -80,6 +80,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "bench grasp --count": (4, 1_000_000),
     "bench feedback --horizon": (2.0, 1e3),
     "bench feedback --patience": (1e-3, 1e9),
+    "--left": (1.0, 1e3),
     "bench manifold --lengths": (2, 10_000),
     "bench perception --repeats": (1, 10_000),
     "bench deploy --levels": (1, 8),
