@@ -48,7 +48,6 @@ def command(
     from wrod.scene.validate import open_stage
     from wrod.scene.view import write_page
 
-    open_stage(scene)  # refused before Newton is loaded, which takes seconds
     page = out.suffix.lower() == ".html"
     if not page and out.suffix.lower() in _OTHERS:
         raise DataError(f"{out}: pictures are .png, pages .html; name one, or a folder of pictures")
@@ -56,6 +55,7 @@ def command(
         refuse_idle_options("a page", "frames", "size", "moments")
     elif moments:
         refuse_idle_options("--moments", "frames", "camera", "hide")
+    open_stage(scene)  # refused before Newton is loaded, which takes seconds
     count = frames if frames is not None else (1 if out.suffix else 24)
     if not (page or moments):
         cost.settle(
