@@ -388,6 +388,8 @@ def test_gradients_through_a_body_on_rods(friction, options):
     if friction > 0.5:
         exact = dict.fromkeys(PROPERTIES, 2e-5) | {k: v / 8.0 for k, v in PRESSED.items()}
         exact |= {"node_q": 3e-8, "edge_spin": 1e-3, "rod_internal_damping": 1e-4}
+    elif options.get("pulls"):  # of steps from 2^-6 to 2^-11 five agree; at 2^-9 a solve ends early
+        exact = exact | {"gravity": 2.0**-8}
     if scene.dt < 0.01:  # of what counts little in so short a time
         exact = exact | {"rod_air_damping": 1e-3, "node_bending_stiffness": 2e-3}
     # Rods that are bent at rest keep their roll, which a difference would begin.
