@@ -292,8 +292,8 @@ ROD = dict(radius=0.0016, gravito_bending_length=0.03, length=0.8, poisson=0.5, 
 MODEL = dict(
     length=0.8, bending_stiffness=1e-4, twisting_stiffness=1e-4, stretching_stiffness=100.0,
     line_mass=0.01, radius=0.002, principal_angle=0.0, natural_curvature=(0.0, 0.0),
-    natural_twist=0.0, point_masses=(), internal_damping=0.0, air_damping=0.0, quadratic_drag=0.0,
-    gravity=9.81,
+    natural_twist=0.0, point_masses=(), internal_damping=0.0, relaxation_time=0.0, air_damping=0.0,
+    quadratic_drag=0.0, gravity=9.81,
 )  # fmt: skip
 # Public callables: what makes the function, and the arguments with which it works. Arguments that
 # begin with * are given by their place.
@@ -590,6 +590,10 @@ CALLS = {
             internal_damping=0.0, contact=None, motion=None, force_scale=None, tolerance=1e-6,
             keeps_recording=False,
         ),
+    ),
+    "Dynamics.relax": lambda: (
+        wrod.Dynamics(free(rods()), radius=0.001, internal_damping=0.1).relax,
+        dict(time=0.1),
     ),
     "Dynamics.set_drag": lambda: (
         wrod.Dynamics(free(rods()), radius=0.001).set_drag,

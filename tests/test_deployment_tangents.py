@@ -84,7 +84,8 @@ def test_tangents_are_limits_of_differences(bend, friction, scheme):
     check_tangents(pattern, ROD, trajectory, Friction(friction), scheme)
 
 
-def test_so_they_are_of_a_rod_with_sides_that_softens_and_is_damped(bend):
+@pytest.mark.parametrize("relaxation_time", [0.0, 0.02])
+def test_so_they_are_of_a_rod_with_sides_that_softens_and_is_damped(bend, relaxation_time):
     """Its roll is held by torques that do not reach their bound, which tangents take as given."""
     pattern, _ = bend
     stiffness = ROD.bending_stiffness
@@ -93,7 +94,7 @@ def test_so_they_are_of_a_rod_with_sides_that_softens_and_is_damped(bend):
         bending_stiffness=({"knots": [0.0, 0.32], "values": [1.3 * stiffness, 0.8 * stiffness]},
                            0.8 * stiffness),
         principal_angle=0.6, natural_curvature=(3.0, -2.0), natural_twist=2.0,
-        law=Softening(30.0, 0.5), internal_damping=0.05,
+        law=Softening(30.0, 0.5), internal_damping=0.05, relaxation_time=relaxation_time,
     )  # fmt: skip
     trajectory = wrod.plan(pattern, rod, "numeric", closure="min_friction", spacing=0.01, roll=0.3)
     check_tangents(pattern, rod, trajectory, Friction(4.0, roll=1e4), "bdf2")

@@ -7,7 +7,9 @@ from wrod.training.moving import move_differentiable
 
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
+from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.statics import prescribe
+from wrod.solvers.trace import require_differentiable
 
 
 def scene(rods=2, nodes=7, softening=0.0):
@@ -77,6 +79,10 @@ def test_what_has_no_gradients_is_refused():
     options = given | {"step": 0.01, "steps": 6, "radius": 1e-4}
     with pytest.raises(RodError, match="scheme"):
         move_differentiable(batch, **options, held=(0, 1), scheme="midpoint")
+    relaxing = Dynamics(batch, radius=1e-4, internal_damping=0.2)
+    relaxing.relax(0.1)
+    with pytest.raises(RodError, match="damping that relaxes"):
+        require_differentiable(relaxing)
     with pytest.raises(RodError, match="free"):
         move_differentiable(batch, **options, held=(3, 4))
     with pytest.raises(RodError, match="float64"):

@@ -1,5 +1,7 @@
 """Rods in Newton scenes: closed forms, worlds side by side, held ends, and what is refused."""
 
+from dataclasses import replace
+
 import newton
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from chosen import DEVICE
 
 import wrod
 from wrod.errors import RodError, WrodWarning
+from wrod.rods.model import RodModel
 
 ROD = wrod.RodMaterial(radius=0.0016, gravito_bending_length=0.032, length=0.2)
 SolverDER = wrod.SolverDER
@@ -457,6 +460,7 @@ def test_diverging_rod_is_cut_out_and_can_be_reset():
 def test_errors_say_what_to_call():
     bare = newton.ModelBuilder()
     points = straight(5, 0.1)
+    relaxing = replace(RodModel.of(ROD), internal_damping=0.2, relaxation_time=0.1)
     with pytest.raises(RodError, match="register_custom_attributes"):
         SolverDER.add_rod(bare, points, ROD)
     with pytest.raises(RodError, match="register_custom_attributes"):
@@ -473,6 +477,7 @@ def test_errors_say_what_to_call():
         (dict(director=(1, 0, 0)), "along the rod's first edge"),
         (dict(natural_curvature=np.zeros((3, 2))), "natural_curvature has shape"),
         (dict(air_damping=-1.0), "air_damping"),
+        (dict(material=relaxing), "relaxation_time of 0.1 s"),
     ]:
         builder = scene()
         with pytest.raises(RodError, match=match):

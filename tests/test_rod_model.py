@@ -34,6 +34,7 @@ def varied(**more) -> RodModel:
         point_masses=((0.3, 0.004), (0.61, 0.001)),
         law=Softening(20.0, 0.4),
         internal_damping=0.01,
+        relaxation_time=0.02,
         air_damping=0.5,
         quadratic_drag=0.1,
     )
@@ -76,6 +77,7 @@ def test_bad_profiles_and_models_are_refused():
         dict(law="softening"),
         dict(radius=True),
         dict(air_damping=-1.0),
+        dict(relaxation_time=-0.1),
         dict(natural_twist=float("inf")),
     ]:
         with pytest.raises(RodError):
@@ -130,6 +132,14 @@ def test_no_damping_is_kept_apart_from_damping_that_nobody_measured(tmp_path):
     assert wrod.load_rod(wrod.save_rod(undamped, tmp_path / "undamped.json")) == undamped
 
 
+def test_files_of_before_know_of_no_relaxation(tmp_path):
+    path = wrod.save_rod(varied(), tmp_path / "model.json")
+    content = json.loads(path.read_text())
+    assert content.pop("relaxation_time") == 0.02
+    path.write_text(json.dumps(content))
+    assert wrod.load_rod(path) == varied(relaxation_time=0.0)
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -168,6 +178,7 @@ def test_the_same_rod_otherwise():
     np.testing.assert_allclose(piece.line_mass(s[:10]), model.line_mass(0.25 + s[:10]))
     np.testing.assert_allclose(piece.point_masses, [(0.05, 0.004), (0.36, 0.001)])
     unit = model.scaled(model.gravito_bending_length, 2.0 * model.weight * 0.05)
+    assert unit.relaxation_time == pytest.approx(2.0 * unit.internal_damping)
     assert unit.gravity == 1.0 and unit.gravito_bending_length == pytest.approx(1.0)
     for rod in (wrod.rod("cable"), model):
         lgb, force = rod.gravito_bending_length, RodModel.of(rod).mean_bending_stiffness

@@ -38,7 +38,9 @@ _SAMPLED = {
 _BEYOND = 1.06
 _LOG_SHARE = 0.7
 # What a rod may have of its own and still be known to a controller.
-_OF_NO_MATTER = ("internal_damping", "air_damping", "quadratic_drag", "stretching_stiffness")
+_OF_NO_MATTER = (
+    "internal_damping", "relaxation_time", "air_damping", "quadratic_drag", "stretching_stiffness"
+)  # fmt: skip
 MAX_INDEX = 2**30
 
 

@@ -1,5 +1,6 @@
 """What a tangent of a deployment feels of the rod's shape at rest: its own rate, and the flow that
-internal damping makes of it (`viscosity`), which remembers the strains of two steps."""
+internal damping makes of it (`viscosity`), which remembers the strains of two steps, or what
+moments that relax leave of them."""
 
 from typing import Any
 
@@ -8,6 +9,7 @@ from wrod.kernels.elastic.curvature import component, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
 from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.stepping.pace import Pace
+from wrod.kernels.stepping.viscosity import times_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -59,6 +61,7 @@ def linearise_flow(
     # Model:
     model: ElasticModel,
     viscous_time: wp.array2d(dtype=wp.vec4d),
+    relaxation: wp.array2d(dtype=wp.float64),
     # State in:
     pace: Pace,
     dof: wp.array2d(dtype=wp.float64),
@@ -73,10 +76,13 @@ def linearise_flow(
     if pace.accepted[r] == 0:
         return
     out = Strains()
-    eta = viscous_time[r, i]
+    c = pace.coefficient[r] / pace.step[r]
+    times = viscous_time[r, i]
+    theta = relaxation[wp.min(r, relaxation.shape[0] - 1), i]
+    eta, _ = times_of(wp.vec4d(times[0], times[1], times[2], theta), c[0])
     h = model.rest_length[r, i]
     out.tangent = wp.normalize(edge(dof, r, i))
-    out.pull = eta[3] * model.stretching[r, i] / h
+    out.pull = times[3] * model.stretching[r, i] / h
     if i > 0:
         length = HALF * (model.rest_length[r, i - 1] + h)
         # Of the grip's node a share of the cell is beyond the grip.
@@ -96,7 +102,6 @@ def linearise_flow(
         moment = wp.diag(b)
         if law[0] != ZERO:
             # M = B e (r + (1 - r) / D), D = 1 + 2 c (B_1 e_1^2 + B_2 e_2^2) / (B_1 + B_2).
-            c = pace.coefficient[r] / pace.step[r]
             was = strain_before[r, i]
             past = strain_older[r, i]
             flow_1 = c[0] * first.kappa + c[1] * was[0] + c[2] * past[0]
@@ -121,6 +126,7 @@ def linearise_flow(
 def measure_strain_rates(
     # Model:
     begin: wp.array2d(dtype=wp.float64),
+    relaxation: wp.array2d(dtype=wp.float64),
     # State in:
     pace: Pace,
     strains: wp.array2d(dtype=Strains),
@@ -129,14 +135,17 @@ def measure_strain_rates(
     now: wp.array3d(dtype=Any),
     older: wp.array3d(dtype=Any),
 ):
-    """Rates of the strains at the end of the step; shifts those of the step before."""
+    """Rates of the strains at the end of the step, of curvatures and twist as moments that relax
+    remember them (`viscosity.relaxed_strain`); shifts those of the step before."""
     r, p, i = wp.tid()
     if not is_under_way(pace, begin, r, p):
         return
     a = 4 * i
-    for k in range(4):
-        older[r, p, a + k] = now[r, p, a + k]
+    c = pace.coefficient[r] / pace.step[r]
+    theta = relaxation[wp.min(r, relaxation.shape[0] - 1), i]
+    share = ONE / (ONE + theta * c[0])
     s = strains[r, i]
+    older[r, p, a + 3] = now[r, p, a + 3]
     f0 = x[r, p, a + 4] - x[r, p, a]
     f1 = x[r, p, a + 5] - x[r, p, a + 1]
     f2 = x[r, p, a + 6] - x[r, p, a + 2]
@@ -151,7 +160,11 @@ def measure_strain_rates(
     for k in range(3):
         rate = s.before[k, 0] * e0 + s.before[k, 1] * e1 + s.before[k, 2] * e2
         rate += s.after[k, 0] * f0 + s.after[k, 1] * f1 + s.after[k, 2] * f2
-        now[r, p, a + k] = rate + s.angle_before[k] * te + s.angle_after[k] * tf
+        rate += s.angle_before[k] * te + s.angle_after[k] * tf
+        was = now[r, p, a + k]
+        past = c[1] * was + c[2] * older[r, p, a + k]
+        older[r, p, a + k] = was
+        now[r, p, a + k] = share * (rate - theta * past)
 
 
 @wp.func

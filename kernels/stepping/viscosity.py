@@ -96,6 +96,7 @@ def relax_strains(
     accepted: wp.array(dtype=wp.int32),
     coefficient: wp.array(dtype=wp.vec3d),
     step: wp.array(dtype=wp.float64),
+    whole: wp.array(dtype=wp.float64),
     relaxation: wp.array2d(dtype=wp.float64),
     dof: wp.array2d(dtype=wp.float64),
     director: wp.array2d(dtype=wp.vec3d),
@@ -112,7 +113,12 @@ def relax_strains(
     before = strain_out[r, i]
     older = strain_older_out[r, i]
     theta = relaxation[wp.min(r, relaxation.shape[0] - 1), i]
-    strain_out[r, i] = relaxed_strain(coefficient[r] / step[r], theta, now, before, older)
+    q = relaxed_strain(coefficient[r] / step[r], theta, now, before, older)
+    ratio = whole[r] / step[r]
+    if ratio > ONE:
+        # A midpoint step goes straight on from where its forces are.
+        q = before + ratio * (q - before)
+    strain_out[r, i] = q
     strain_older_out[r, i] = before
 
 

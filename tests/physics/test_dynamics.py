@@ -265,12 +265,13 @@ def test_internal_damping_of_a_cantilever(scheme):
     assert rate == pytest.approx(b * omega**2, rel=0.02)
 
 
-def test_viscous_moments_that_relax_are_those_of_zeners_solid():
+@pytest.mark.parametrize("scheme", ["bdf2", "midpoint"])
+def test_viscous_moments_that_relax_are_those_of_zeners_solid(scheme):
     """A cantilever in its first mode: y'' = -omega^2 (y + m), m + theta m' = eta y', from rest
     (Kelvin and Voigt's has theta = 0)."""
     eta, theta, omega = 0.3, 0.3, ROOT**2
-    dynamics = Dynamics(cantilever(), scheme="bdf2", radius=0.01, internal_damping=eta)
-    dynamics.viscosity.relax(np.full((1, dynamics.batch.node_count), theta))
+    dynamics = Dynamics(cantilever(), scheme=scheme, radius=0.01, internal_damping=eta)
+    dynamics.relax(theta)
     first = dynamics.batch.positions()[0, -1, 2]
     time, tip, _ = vibrate(dynamics, 2.0, 100, 2)
     rates = [[0.0, 1.0, 0.0], [-(omega**2), 0.0, -(omega**2)], [0.0, eta / theta, -1.0 / theta]]

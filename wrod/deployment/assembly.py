@@ -80,6 +80,7 @@ def assemble(
         tolerance=discretisation.tolerance,
         keeps_recording=keeps_recording,
     )
+    dynamics.relax(relaxation(rods))
     if discretisation.tolerance >= _LOOSE:
         dynamics.shrinks = _SHRINKS
     drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
@@ -100,6 +101,11 @@ def damping(rods: Sequence[RodModel | RodMaterial]) -> dict[str, Any]:
             ]
         ),
     }
+
+
+def relaxation(rods: Sequence[RodModel | RodMaterial]) -> np.ndarray:
+    """(rod,) of `Dynamics.relax` [s]."""
+    return np.array([RodModel.of(rod).relaxation_time for rod in rods])
 
 
 def _stiffness(rods: list[RodModel], fixtures: list[Fixtures | None]) -> np.ndarray:

@@ -198,7 +198,8 @@ class Tangents:
         batch.launch(
             flow_tangents.linearise_flow,
             (batch.rod_count, batch.node_count - 1),
-            [batch.elastic_model, viscosity.time, pace, state.dof, state.director, *past],
+            [batch.elastic_model, viscosity.time, viscosity.relaxation, pace]
+            + [state.dof, state.director, *past],
             [self.strains],
         )
         batch.launch(
@@ -210,11 +211,12 @@ class Tangents:
         )
 
     def _measure_flow(self, dynamics: NewtonSteps) -> None:
-        if dynamics.viscosity.exists:
+        viscosity = dynamics.viscosity
+        if viscosity.exists:
             self.batch.launch(
                 flow_tangents.measure_strain_rates,
                 (self.batch.rod_count, self.packs, self.batch.node_count - 1),
-                [self.begin, dynamics.pace, self.strains, self.x],
+                [self.begin, viscosity.relaxation, dynamics.pace, self.strains, self.x],
                 [self.strain, self.strain_older],
             )
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from scipy.interpolate import CubicSpline
 
-from wrod.deployment.assembly import damping
+from wrod.deployment.assembly import damping, relaxation
 from wrod.patterns.curve import arc_length
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import directors_at_rest
@@ -57,6 +57,7 @@ def left_alone(
         tolerance=1e-5,
         keeps_recording=device == "cpu",  # as in `wrod.deployment.tangents.lay`
     )
+    dynamics.relax(relaxation(rods))
     return batch, dynamics
 
 

@@ -289,6 +289,7 @@ class RodModelFile(_File, frozen=True):
     point_masses: Annotated[list[tuple[Fraction, Fraction]], Meta(max_length=1000)] = []
     law: dict[str, str | float] = field(default_factory=lambda: {"name": "linear"})
     internal_damping: Fraction | None = None
+    relaxation_time: Fraction = 0.0
     air_damping: Fraction = 0.0
     quadratic_drag: Fraction = 0.0
     gravity: Positive = 9.81

@@ -134,6 +134,7 @@ def rod_of(
         law=law,
         # What only rests says nothing of it.
         internal_damping=mean(setup.viscous_time) if hasattr(setup, "viscous_time") else None,
+        relaxation_time=mean(getattr(setup, "relaxation_time", 0.0)),
         air_damping=mean(getattr(setup, "linear_drag", 0.0)),
         quadratic_drag=mean(getattr(setup, "quadratic_drag", 0.0)),
     )

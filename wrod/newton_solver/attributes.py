@@ -126,7 +126,7 @@ def add_rod(
         look: whether it is shown, in which colour, and its label.
 
     Raises:
-        RodError: the builder knows no rods, or no such body.
+        RodError: the builder knows no rods, or no such body, or the rod's damping relaxes.
     """
     _refuse_stranger(builder)
     for name, (kind, body) in zip(("start", "end"), held, strict=True):
@@ -140,6 +140,11 @@ def add_rod(
     model, (visible, color, label) = rod.model, look
     own = (model.air_damping, model.internal_damping or 0.0)
     air, internal = (o if given is None else given for o, given in zip(own, damping, strict=True))
+    if internal and model.relaxation_time:
+        raise RodError(
+            f"rod has a relaxation_time of {model.relaxation_time:g} s, and SolverDER knows no "
+            "internal damping that relaxes; give dataclasses.replace(rod, relaxation_time=0.0)"
+        )
     counts = builder._custom_frequency_counts
     first_node, first_edge = counts.get(NODE, 0), counts.get(EDGE, 0)
     label = label or f"rod_{counts.get(ROD, 0)}"

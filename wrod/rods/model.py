@@ -54,6 +54,8 @@ class RodModel(RodTransformations):
         law: of bending; `wrod.rods.law`.
         internal_damping: Kelvin-Voigt time of the material [s]; None: nobody has measured it, and
             deployments take that of recorded cables (`wrod.deployment.assembly.INTERNAL_DAMPING`).
+        relaxation_time: time in which the moments of internal damping relax [s]; 0: they do not
+            (Kelvin and Voigt).
         air_damping: drag per mass and velocity [1/s].
         quadratic_drag: drag per length of rod, mean line mass and velocity squared [1/m].
         gravity: gravitational acceleration [m/s^2].
@@ -74,6 +76,7 @@ class RodModel(RodTransformations):
     point_masses: tuple[tuple[float, float], ...] = ()
     law: BendingLaw = _LINEAR
     internal_damping: float | None = None
+    relaxation_time: float = 0.0
     air_damping: float = 0.0
     quadratic_drag: float = 0.0
     gravity: float = 9.81
@@ -94,6 +97,7 @@ class RodModel(RodTransformations):
             point_masses: Sequence[tuple[float, float]] = (),
             law: BendingLaw = _LINEAR,
             internal_damping: float | None = None,
+            relaxation_time: float = 0.0,
             air_damping: float = 0.0,
             quadratic_drag: float = 0.0,
             gravity: float = 9.81,
@@ -107,7 +111,7 @@ class RodModel(RodTransformations):
         for name in ("length", "radius", "gravity"):
             put(name, as_number(name, getattr(self, name), positive=True))
         put("principal_angle", as_number("principal_angle", self.principal_angle))
-        for name in ("internal_damping", "air_damping", "quadratic_drag"):
+        for name in ("internal_damping", "relaxation_time", "air_damping", "quadratic_drag"):
             if name != "internal_damping" or self.internal_damping is not None:
                 put(name, as_number(name, getattr(self, name), least=0.0))
         put("bending_stiffness", as_pair("bending_stiffness", self.bending_stiffness, same=True))
@@ -200,6 +204,7 @@ class RodModel(RodTransformations):
             "point_masses": bool(self.point_masses),
             "law": not isinstance(self.law, Linear),
             "internal_damping": self.internal_damping is not None,
+            "relaxation_time": self.relaxation_time > 0.0,
             "air_damping": self.air_damping > 0.0,
             "quadratic_drag": self.quadratic_drag > 0.0,
             "bending_stiffness": not (first.is_constant and first == second),

@@ -25,6 +25,7 @@ class RodTransformations:
     point_masses: Any
     law: Any
     internal_damping: Any
+    relaxation_time: Any
     air_damping: Any
     quadratic_drag: Any
     gravity: Any
@@ -144,6 +145,7 @@ class RodTransformations:
             point_masses=tuple((s / length, m / mass) for s, m in self.point_masses),
             law=self.law.scaled(length, time),
             internal_damping=None if own is None else own / time,
+            relaxation_time=self.relaxation_time / time,
             air_damping=self.air_damping * time,
             quadratic_drag=self.quadratic_drag * length,
             gravity=1.0,

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
+import numpy as np
 import warp as wp
 
+from wrod import arguments
+from wrod.errors import RodError
 from wrod.kernels.stepping import dynamics as kernels
 from wrod.kernels.stepping import newton_iteration as newton
 from wrod.kernels.stepping import pace
@@ -83,11 +86,22 @@ class NewtonSteps(Steps):
     _growth: float
     _going: wp.array
 
+    @arguments.checked(RodError, time=arguments.array((), (None,)))
+    def relax(self, time: np.ndarray | float) -> None:
+        """Let the moments of internal damping, of bending and twisting, relax in this time, (rod,)
+        [time], from none where the rods are now. Before the first step.
+
+        Raises:
+            RodError: a time is negative or not finite.
+        """
+        self.viscosity.relax(time)
+
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
         must have its frames, and from `velocity`; one that was cut out takes part again."""
         self._per_rod(pace.forget_history, [chosen], [self.pace])
         self.batch.copy_states(chosen, self.batch.state, self.start)
+        self.viscosity.restart(chosen)
         self.internal.restart(chosen)
         for contact in self.contacts:
             contact.restart(chosen)
@@ -207,7 +221,7 @@ class NewtonSteps(Steps):
         batch, start, dof = self.batch, self.start, self.batch.state.dof
         if self.follower is not None:
             self.follower.follow(self)
-        self.viscosity.finish(self.accepted, self.coefficient, self.span)
+        self.viscosity.finish(self.accepted, self.coefficient, self.span, self.step)
         for contact in self.contacts:
             contact.settle(self.accepted, dof, start.dof)
         if self.bodies is not None:

@@ -86,7 +86,7 @@ def require_differentiable(dynamics: Dynamics) -> None:
     """See that steps have an adjoint.
 
     Raises:
-        RodError: rods have laws of their own or a past.
+        RodError: rods have laws of their own or a past, or damping that relaxes.
     """
     batch = dynamics.batch
     of_memory = batch.inelastic is not None
@@ -96,6 +96,10 @@ def require_differentiable(dynamics: Dynamics) -> None:
         raise RodError(
             "gradients of motion know rods with a past by the bdf2 and euler schemes only, with "
             "internal damping given for every node"
+        )
+    if dynamics.viscosity.relaxes:
+        raise RodError(
+            "gradients of motion know no internal damping that relaxes; leave Dynamics.relax out"
         )
     touched = contact_of(dynamics)
     if touched is not None and touched.friction_field is not None:

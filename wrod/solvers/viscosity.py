@@ -3,6 +3,7 @@
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.stepping import viscosity as kernels
@@ -71,16 +72,36 @@ class Viscosity:
         self.time.assign(np.ascontiguousarray(time))
         self.stretching_time.assign(time[:, :, 3].max(axis=1))
 
-    def relax(self, time: np.ndarray) -> None:
-        """Let viscous moments of bending and twisting relax, from none where the rods are now.
+    def relax(self, time: np.ndarray | float) -> None:
+        """Let viscous moments of bending and twisting relax, from none where the rods are now; of
+        rods without any nothing does.
 
         Args:
-            time: (1 or rod, node) [time]; there are to be strains (`exists`).
+            time: (rod,) or (1 or rod, node) [time].
+
+        Raises:
+            RodError: a time is negative or not finite, or there are others than that.
         """
+        time = np.asarray(time, dtype=float)
+        if time.ndim < 2:
+            rods, nodes = self.time.shape
+            time = arguments.spread(time, (rods,), "Dynamics.relax: time", RodError)
+            time = np.repeat(time[:, None], nodes, axis=1)
+        if not (np.isfinite(time) & (time >= 0.0)).all():
+            raise RodError("time in which damping relaxes must be finite and not negative")
+        if not (self.exists and time.any()):
+            return
         self.relaxes = True
         self.relaxation = wp.array(time, dtype=wp.float64, device=self.batch.device)
         self._measure(self.batch.every_rod)
         wp.copy(self.strain_older, self.strain)
+
+    def restart(self, chosen: wp.array) -> None:
+        """Let rods that are not 0 in `chosen` (rod,) have relaxed where they are now."""
+        if self.relaxes:
+            self._measure(chosen)
+            inputs = [chosen, self.strain]
+            self._launch(kernels.shift_strains, self.batch.node_count, inputs, [self.strain_older])
 
     def _measure(self, chosen: wp.array) -> None:
         s, nodes = self.batch.state, self.batch.node_count
@@ -118,13 +139,16 @@ class Viscosity:
         inputs = [*model, self.relaxation, *past]
         self._launch(kernels.flow_bending, nodes - 2, inputs, [self.model])
 
-    def finish(self, accepted: wp.array, coefficient: wp.array, step: wp.array) -> None:
-        """Carry the strains of accepted steps over to the next."""
+    def finish(
+        self, accepted: wp.array, coefficient: wp.array, step: wp.array, whole: wp.array
+    ) -> None:
+        """Carry the strains of accepted steps over to the next. Forces are those of the end of
+        `step`, which midpoint steps go on from to `whole`."""
         if not self.exists:
             return
         s, nodes = self.batch.state, self.batch.node_count
         if self.relaxes:
-            inputs = [accepted, coefficient, step, self.relaxation]
+            inputs = [accepted, coefficient, step, whole, self.relaxation]
             inputs += [s.dof, s.director, s.reference_twist]
             self._launch(kernels.relax_strains, nodes, inputs, [self.strain, self.strain_older])
         else:
