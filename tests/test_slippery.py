@@ -34,9 +34,10 @@ def test_summary_is_the_mean_over_trials_and_then_over_cells():
     assert (others["cells"], others["error_mean"]) == (2, {"a": 4.0, "b": 3.0})
     lines = told(table, [bent, others])
     assert lines[0] == "rope, line, friction 0.3: a 2.000 (1.000, 1.414), b 2.000 (1.000) cm, wrod"
-    assert lines[-3].startswith(
+    assert lines[-4].startswith(
         "cells of these in which rods lie nearer than those put down: a 1 (1)"
     )
+    assert lines[-3] == "and where those move by over 0.1 cm once put down: a 1 of 1"
     assert lines[-2].startswith("mean of 2 that bend by up to 0.4 / L_gb, friction 0.3: a 4.000 (2")
 
 

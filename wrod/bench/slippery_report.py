@@ -12,6 +12,8 @@ KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
 # A rod that is put down exactly where a robot that stands elsewhere, and does not know it, has the
 # pattern, and one that stays there: what no plan can be better than on average.
 PUT_DOWN, MISPLACED = "put_down", "misplaced"
+# Put down exactly, a rod that moves by less than this [cm] has nothing that springs back.
+_MOVES = 0.1
 # From the pattern, from where the robot, misplaced, has it, and from where trials lie on average,
 # which is what no plan takes away that does not see them.
 _ERRORS = ("error_mean", "error_robot", "apart")
@@ -47,8 +49,9 @@ def _apart(curves: np.ndarray) -> float:
 
 def means(table: list[dict], bends: Callable[[str, str], bool]) -> list[dict]:
     """Mean errors [cm] of the cells of each friction and engine, of patterns that bend and of
-    others, by the methods that all of these cells have; "cells" says of how many, and "better" in
-    how many a method's rods lie nearer than those that were put down."""
+    others, by the methods that all of these cells have; "cells" says of how many, "better" in how
+    many a method's rods lie nearer than those that were put down, and "moved" in how many of how
+    many of those where these had moved from where they were put."""
     groups: dict[tuple, list[dict]] = {}
     for cell in table:
         place = bends(cell["rod"], cell["pattern"]), cell["friction"], cell["engine"]
@@ -66,6 +69,12 @@ def means(table: list[dict], bends: Callable[[str, str], bool]) -> list[dict]:
                     for m in common
                     if m not in (PUT_DOWN, MISPLACED)
                 }
+        if PUT_DOWN in out[-1]["error_mean"]:
+            moved = [c["error_mean"] for c in cells if c["error_robot"][PUT_DOWN] > _MOVES]
+            out[-1]["moved"] = {
+                m: (sum(c[m] < c[PUT_DOWN] for c in moved), len(moved))
+                for m in out[-1]["better"]["error_mean"]
+            }
     return out
 
 
@@ -92,6 +101,8 @@ def told(table: list[dict], groups: list[dict]) -> list[str]:
             on_table, own = (one["better"][name] for name in _ERRORS[:2])
             each = ", ".join(f"{m} {on_table[m]} ({own[m]})" for m in on_table)
             lines.append(f"cells of these in which rods lie nearer than those put down: {each}")
+            each = ", ".join(f"{m} {won} of {count}" for m, (won, count) in one["moved"].items())
+            lines.append(f"and where those move by over {_MOVES:g} cm once put down: {each}")
     said = "from where the robot, misplaced, has the pattern; how far trials lie from their mean"
     return [*lines, f"(in brackets: {said})"]
 
