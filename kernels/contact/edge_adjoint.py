@@ -2,21 +2,15 @@
 `wrod.kernels.stepping.adjoint`, and `wrod.kernels.contact.edges` for the forces.
 
 Whether an edge touches, sticks or slides counts as it was. What changes is followed forwards, from
-each of the few numbers that one touch depends on: where it touches moves along the edge, and with
-it the normal turns. A solid that moves and turns by u at the point of contact changes there what
-the point would that moves by -u, and turns the normal besides.
+each of the few numbers that one touch depends on. A solid that moves by u changes what an edge
+would that moves by -u; one that turns by w, what one does that turns by -w, and is turned by w.
 """
 
 import warp as wp
-from wrod.kernels.contact.closest import SMOOTHING, Closest, is_fixture
+from wrod.kernels.contact.closest import SMOOTHING, is_fixture
 from wrod.kernels.contact.edge_rolling import edge_rolled, follow_turn
-from wrod.kernels.contact.edges import (
-    EdgeTouch,
-    edge_relaxation,
-    edge_touch,
-    is_burdened,
-    is_late,
-)
+from wrod.kernels.contact.edges import EdgeTouch, edge_relaxation, edge_touch, is_burdened, is_late
+from wrod.kernels.contact.gap import Gap
 from wrod.kernels.contact.law import Touchable, coefficient, damped_force, return_mapping
 from wrod.kernels.contact.rolling import by_logarithms
 from wrod.kernels.contact.shapes import WITH_RODS, Borne, Shape, beside, shape_displacement
@@ -58,22 +52,20 @@ class WantedShapes:
 
 @wp.struct
 class Held:
-    """An edge that is touched: its vector and by how much that changed in the step, seen from the
-    solid, the arm of the point of contact about the solid's place, and how the solid was turned
-    before (a rotation from now), smoothing over its length, unprojected stretch and motion of the
-    point of contact, relaxation time and lag, depth and how it grew, normal force, its slope by
+    """An edge that is touched: the arms of its nodes about the solid's place and by how much they
+    moved in the step, seen from the solid, how the solid was turned before (a rotation from now),
+    unprojected stretch, relaxation time and lag, depth and how it grew, normal force, its slope by
     depth alone and with how that grows, what skin takes off it by the radius, coefficient,
     stiffness, pull of the bristle, and how this follows the stretch (0 where it slides)."""
 
-    near: Closest
-    edge: wp.vec3d
-    change: wp.vec3d
-    arm: wp.vec3d
+    near: Gap
+    head_arm: wp.vec3d
+    tail_arm: wp.vec3d
+    head_moved: wp.vec3d
+    tail_moved: wp.vec3d
     back: wp.mat33d
-    smoothing: wp.float64
     stretch: wp.vec3d
     bristle: wp.vec3d
-    moved: wp.vec3d
     time: wp.float64
     relaxation: wp.float64
     lag: wp.float64
@@ -102,17 +94,20 @@ class Change:
 
 @wp.func
 def finish_hold(
-    h: Held, shape: Shape, point: wp.vec3d, moved: wp.vec3d, bristle: wp.vec3d, time: wp.float64,
+    h: Held, shape: Shape, head: wp.vec3d, tail: wp.vec3d, bristle: wp.vec3d, time: wp.float64,
     size: wp.vec2d,
 ) -> Held:  # fmt: skip
-    """What follows of a touch at a point that has `moved` in a time; size is of radius and skin."""
+    """What follows of a touch of an edge between nodes, of whose motions in a time `head_moved` and
+    `tail_moved` are; size is of radius and skin."""
     out = h
-    out.arm = point - shape.position
+    out.head_arm = head - shape.position
+    out.tail_arm = tail - shape.position
+    out.head_moved = h.head_moved - shape_displacement(shape, head)
+    out.tail_moved = h.tail_moved - shape_displacement(shape, tail)
     out.back = wp.identity(3, dtype=wp.float64)
     if shape.moves != 0:
         out.back = wp.quat_to_matrix(shape.rotation_before * wp.quat_inverse(shape.rotation))
-    out.moved = moved - shape_displacement(shape, point)
-    out.stretch = bristle + out.moved
+    out.stretch = bristle + (ONE - h.near.s) * out.head_moved + h.near.s * out.tail_moved
     out.time = time
     out.lag = h.relaxation / time
     law = damped_force(h.depth, h.closing, h.relaxation, time, h.stiffness, size[1])
@@ -131,25 +126,20 @@ def finish_hold(
 def hold(m: Touchable, step: OneStep, c: EdgeTouch, r: int, k: int, i: int) -> Held:
     """All that a touch is made of."""
     out = Held()
-    near = c.near
-    out.near = near
-    out.edge = c.edge
-    head = node(step.dof, r, i) - node(step.dof_before, r, i)
-    tail = node(step.dof, r, i + 1) - node(step.dof_before, r, i + 1)
-    out.smoothing = c.smoothing
+    out.near = c.near
+    head = node(step.dof, r, i)
+    tail = node(step.dof, r, i + 1)
+    out.head_moved = head - node(step.dof_before, r, i)
+    out.tail_moved = tail - node(step.dof_before, r, i + 1)
     out.bristle = c.bristle
     out.relaxation = edge_relaxation(m, c, step.span[r], r, k, i)
     out.depth = c.depth
     out.closing = c.closing
     out.stiffness = c.stiffness
     out.coefficient = coefficient(m, step.edge_sliding[r, k, i], r, k)
-    moved = (ONE - near.s) * head + near.s * tail
-    size = wp.vec2d(m.radius[r, i], m.skin[r, i])
-    q = node(step.dof, r, i) + near.s * c.edge
     b = step.edge_bristle[r, k, i]
-    out = finish_hold(out, m.shapes[r, k], q, moved, b, step.span[r], size)
-    out.change = tail - head + out.back * c.edge - c.edge
-    return out
+    size = wp.vec2d(m.radius[r, i], m.skin[r, i])
+    return finish_hold(out, m.shapes[r, k], head, tail, b, step.span[r], size)
 
 
 @wp.func
@@ -169,33 +159,42 @@ def one_of(number: int, this: int) -> wp.float64:
 @wp.func
 def follow(h: Held, number: int) -> Change:
     """By one of the numbers."""
-    s = h.near.s
-    n = h.near.normal
+    g = h.near
+    s = g.s
+    n = g.normal
     by_stiffness = one_of(number, STIFFNESS)
     by_rounding = one_of(number, ROUNDING)
-    # Where it touches, and the normal there.
+    by_radius = one_of(number, RADIUS)
+    # The gap, where it touches, and the normal there.
     turned = part(number, TURN)
-    along = (ONE - s) * part(number, 0) + s * part(number, 3)
-    along = along - part(number, PLACE) - wp.cross(turned, h.arm)
-    way = part(number, 3) - part(number, 0) - wp.cross(turned, h.edge)
-    bent = h.near.bend * h.edge
-    shift = wp.float64(0.0)
-    if h.near.free > ZERO:
-        shift = wp.dot(bent, along) + wp.dot(n, way) + (s - HALF) * by_rounding
-        shift = -shift / (wp.dot(h.edge, bent) + h.smoothing)
-    turn = h.near.bend * (along + shift * h.edge) + wp.cross(turned, n)
+    head = part(number, 0) - part(number, PLACE) - wp.cross(turned, h.head_arm)
+    tail = part(number, 3) - part(number, PLACE) - wp.cross(turned, h.tail_arm)
+    distance = wp.dot(g.head, head) + wp.dot(g.tail, tail)
+    distance += by_rounding * g.by_rounding.distance + by_radius * g.by_radius.distance
+    shift = wp.dot(g.s_by_head, head) + wp.dot(g.s_by_tail, tail)
+    shift += by_rounding * g.by_rounding.s + by_radius * g.by_radius.s
+    at_head = g.by_head * head + wp.transpose(g.mixed) * tail + wp.cross(turned, g.head)
+    at_head = at_head + by_rounding * g.by_rounding.head + by_radius * g.by_radius.head
+    at_tail = g.mixed * head + g.by_tail * tail + wp.cross(turned, g.tail)
+    at_tail = at_tail + by_rounding * g.by_rounding.tail + by_radius * g.by_radius.tail
+    turn = at_head + at_tail
+    turn = (turn - wp.dot(n, turn) * n) / wp.length(g.head + g.tail)
     # The normal force.
-    before = (ONE - s) * part(number, AT_START) + s * part(number, AT_START + 3)
-    before = before - part(number, PLACE_AT_START)
-    before = before - wp.cross(part(number, TURN_AT_START), h.back * h.arm)
-    moved = h.back * along - before + shift * h.change
-    depth = one_of(number, RADIUS) - wp.dot(n, along) - HALF * (s - HALF) * (s - HALF) * by_rounding
-    closing = -wp.dot(moved, n) - wp.dot(h.moved, turn)
+    start = part(number, PLACE_AT_START)
+    whirl = part(number, TURN_AT_START)
+    moved_head = h.back * head - part(number, AT_START) + start
+    moved_head = moved_head + wp.cross(whirl, h.back * h.head_arm)
+    moved_tail = h.back * tail - part(number, AT_START + 3) + start
+    moved_tail = moved_tail + wp.cross(whirl, h.back * h.tail_arm)
+    depth = by_radius - distance
+    closing = wp.dot(moved_head, g.head) + wp.dot(moved_tail, g.tail)
+    closing = -closing - wp.dot(h.head_moved, at_head) - wp.dot(h.tail_moved, at_tail)
     deeper = depth + h.lag * wp.where(h.closing < h.depth, closing, depth)
     deeper += one_of(number, RELAXATION) / h.time * wp.min(h.closing, h.depth)
-    force = h.slope * deeper + h.by_skin * one_of(number, RADIUS)
+    force = h.slope * deeper + h.by_skin * by_radius
     force += by_stiffness * h.force / h.stiffness
     # Friction.
+    moved = (ONE - s) * moved_head + s * moved_tail + shift * (h.tail_moved - h.head_moved)
     stretch = part(number, BRISTLE) + moved
     bristle = stretch - wp.dot(n, stretch) * n - wp.dot(h.stretch, n) * turn
     bristle = bristle - wp.dot(h.stretch, turn) * n
@@ -205,11 +204,9 @@ def follow(h: Held, number: int) -> Change:
         limit = h.coefficient * force + h.force * one_of(number, COEFFICIENT)
         shrink = h.coefficient * h.force / wp.length(h.bristle)
         pull = shrink * (bristle - wp.dot(ahead, bristle) * ahead) + limit * ahead
-    total = h.pull - h.force * n
-    change = pull - force * n - h.force * turn
     out = Change()
-    out.at_head = (ONE - s) * change - shift * total
-    out.at_tail = s * change + shift * total
+    out.at_head = (ONE - s) * pull - shift * h.pull - force * g.head - h.force * at_head
+    out.at_tail = s * pull + shift * h.pull - force * g.tail - h.force * at_tail
     out.bristle = (pull - by_stiffness / h.stiffness * h.pull) / h.stiffness
     out.force = force
     return out
@@ -265,9 +262,9 @@ def want_bristles(
             c = edge_touch(model, step.dof, step.dof_before, step.edge_bristle[r, k, i], r, k, i)
             if c.force > ZERO:
                 h = hold(model, step, c, r, k, i)
-                total = h.pull - h.force * c.near.normal
-                add_vector(gradient, r, 4 * i, (ONE - c.near.s) * total)
-                add_vector(gradient, r, 4 * i + 4, c.near.s * total)
+                g = c.near
+                add_vector(gradient, r, 4 * i, (ONE - g.s) * h.pull - h.force * g.head)
+                add_vector(gradient, r, 4 * i + 4, g.s * h.pull - h.force * g.tail)
                 for b in range(6):
                     by = follow(h, b)
                     for a in range(3):
@@ -363,7 +360,7 @@ def want_friction(
                 wp.atomic_add(before.dof, r, 4 * i + 3, -turned)
                 wp.atomic_add(before.turn, r, i, turned)
                 if model.shapes[r, k].moves != 0:
-                    carried = follow_turn(model.shapes[r, k], h.edge)
+                    carried = follow_turn(model.shapes[r, k], c.edge)
                     wp.atomic_add(by_shape.turn, r, k, -turned * carried.now)
                     wp.atomic_add(by_shape.turn_at_start, r, k, -turned * carried.at_start)
             for b in range(6):

@@ -1,14 +1,14 @@
 """Contact of a rod's edges with solids: true thickness, and Coulomb friction.
 
-An edge touches where it comes nearest (`wrod.kernels.contact.closest`). By the envelope theorem the
-gradient of that distance D is that of the solid's at fixed s, and the normal force of
-`wrod.kernels.contact.law` derives from an energy whose Hessian is exact. Friction is that of
+The normal force of `wrod.kernels.contact.law` derives from an energy of the gap between edge and
+solid (`wrod.kernels.contact.gap`), whose Hessian is exact. Friction is that of
 `wrod.kernels.contact.law` at the point of contact.
 """
 
 import warp as wp
-from wrod.kernels.contact.closest import SMOOTHING, Closest, closest_on_edge, within_reach
+from wrod.kernels.contact.closest import SMOOTHING, within_reach
 from wrod.kernels.contact.duals import bristle_stiffness, follow_dual
+from wrod.kernels.contact.gap import Gap, edge_gap
 from wrod.kernels.contact.law import (
     Touchable,
     coefficient,
@@ -42,11 +42,11 @@ BEARING = wp.constant(wp.float64(2.5))
 
 @wp.struct
 class EdgeTouch:
-    """What a fixture does to an edge: closest point, normal force at rest, depth and by how much it
+    """What a fixture does to an edge: the gap, normal force at rest, depth and by how much it
     has grown in this step, stiffness, stretch of the bristle before return mapping, the edge
-    itself, the direction in which its surface moves when it spins (radius times n x t), and c."""
+    itself, and the direction in which its surface moves when it spins (radius times n x t)."""
 
-    near: Closest
+    near: Gap
     depth: wp.float64
     closing: wp.float64
     force: wp.float64
@@ -54,7 +54,6 @@ class EdgeTouch:
     bristle: wp.vec3d
     edge: wp.vec3d
     spin: wp.vec3d
-    smoothing: wp.float64
 
 
 @wp.func
@@ -97,10 +96,9 @@ def edge_touch(
     q = node(dof, r, i)
     e = node(dof, r, i + 1) - q
     out.edge = e
-    out.smoothing = SMOOTHING * m.rest_length[r, i]
     if not (may_touch(m, r, k, i) and within_reach(shape, q, e, wp.max(radius, ZERO))):
         return out
-    near = closest_on_edge(shape, q, e, out.smoothing)
+    near = edge_gap(shape, q, e, SMOOTHING * m.rest_length[r, i], radius)
     out.near = near
     out.depth = radius - near.distance
     out.stiffness = edge_stiffness(m, r, k, i)
@@ -109,12 +107,12 @@ def edge_touch(
         n = near.normal
         out.spin = (m.rolling[r] * radius) * wp.cross(n, wp.normalize(e))
         spun = dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3]
-        moved = (ONE - near.s) * (q - node(dof_before, r, i))
-        moved = moved + near.s * (q + e - node(dof_before, r, i + 1))
-        moved = moved - shape_displacement(shape, q + near.s * e)
+        head = q - node(dof_before, r, i) - shape_displacement(shape, q)
+        tail = q + e - node(dof_before, r, i + 1) - shape_displacement(shape, q + e)
+        moved = (ONE - near.s) * head + near.s * tail
         b = bristle_before + moved + spun * out.spin
         out.bristle = b - wp.dot(b, n) * n
-        out.closing = -wp.dot(moved, n)
+        out.closing = -wp.dot(head, near.head) - wp.dot(tail, near.tail)
     return out
 
 
@@ -205,23 +203,17 @@ class EdgeBlocks:
 @wp.func
 def edge_blocks(c: EdgeTouch, held: EdgeHold) -> EdgeBlocks:
     out = EdgeBlocks()
-    n = c.near.normal
-    tail = c.near.s
+    g = c.near
+    tail = g.s
     head = ONE - tail
-    total = held.pull - held.force * n
-    out.at_head = head * total
-    out.at_tail = tail * total
-    # D'' = J^T d'' J - v v^T / D_ss with J = ((1 - s) 1, s 1) and v = J^T d'' e + (-n, n).
-    block = held.tangential + held.slope * wp.outer(n, n) - held.force * c.near.bend
-    bent = c.near.bend * c.edge
-    v = head * bent - n
-    w = tail * bent + n
-    share = ZERO
-    if c.near.free > ZERO:
-        share = held.force / (wp.dot(c.edge, bent) + c.smoothing)
-    out.head = head * head * block + share * wp.outer(v, v)
-    out.mixed = tail * head * block + share * wp.outer(w, v)
-    out.tail = tail * tail * block + share * wp.outer(w, w)
+    out.at_head = head * held.pull - held.force * g.head
+    out.at_tail = tail * held.pull - held.force * g.tail
+    out.head = held.slope * wp.outer(g.head, g.head) - held.force * g.by_head
+    out.mixed = held.slope * wp.outer(g.tail, g.head) - held.force * g.mixed
+    out.tail = held.slope * wp.outer(g.tail, g.tail) - held.force * g.by_tail
+    out.head = out.head + head * head * held.tangential
+    out.mixed = out.mixed + tail * head * held.tangential
+    out.tail = out.tail + tail * tail * held.tangential
     return out
 
 
@@ -374,12 +366,13 @@ def settle_edges(
             if model.roll_friction[r, k] >= ZERO:
                 arm = wp.abs(model.radius[r, i])
                 turn = held.torque / (c.stiffness * arm * arm)
-            total = held.force * c.near.normal - held.pull
-            wp.atomic_add(force, r, i, (ONE - c.near.s) * total)
-            wp.atomic_add(force, r, i + 1, c.near.s * total)
-            wp.atomic_add(push, r, k, -total)
+            head = held.force * c.near.head - (ONE - c.near.s) * held.pull
+            tail = held.force * c.near.tail - c.near.s * held.pull
+            wp.atomic_add(force, r, i, head)
+            wp.atomic_add(force, r, i + 1, tail)
+            wp.atomic_add(push, r, k, -head - tail)
             turning = held.torque * wp.normalize(c.edge)
-            point = node(dof, r, i) + c.near.s * c.edge
-            wp.atomic_add(moment, r, k, turning - wp.cross(point, total))
+            turning = turning - wp.cross(node(dof, r, i), head)
+            wp.atomic_add(moment, r, k, turning - wp.cross(node(dof, r, i + 1), tail))
         bristle[r, k, i] = b
         turned[r, k, i] = turn

@@ -39,6 +39,7 @@ def hold_node(m: Touchable, step: OneStep, c: Touch, r: int, k: int, i: int) -> 
     """All that a node's touch is made of."""
     out = Held()
     out.near.normal = c.normal
+    out.near.head = c.normal
     out.bristle = c.bristle
     out.relaxation = m.relaxation[r, i]
     out.depth = c.depth
@@ -46,9 +47,9 @@ def hold_node(m: Touchable, step: OneStep, c: Touch, r: int, k: int, i: int) -> 
     out.stiffness = m.stiffness[r, i]
     out.coefficient = coefficient(m, step.sliding[r, k, i], r, k)
     q = node(step.dof, r, i)
-    moved = q - node(step.dof_before, r, i)
+    out.head_moved = q - node(step.dof_before, r, i)
     size = wp.vec2d(m.radius[r, i], m.skin[r, i])
-    return finish_hold(out, m.shapes[r, k], q, moved, step.bristle[r, k, i], step.span[r], size)
+    return finish_hold(out, m.shapes[r, k], q, q, step.bristle[r, k, i], step.span[r], size)
 
 
 @wp.kernel

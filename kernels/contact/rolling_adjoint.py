@@ -122,7 +122,7 @@ def want_edge_rolls(
                 wp.atomic_add(m.hessian, r, 4 * i + 3, 0, h.stiffness)
                 way = wp.vec3d(ZERO, ZERO, ZERO)
                 if model.shapes[r, k].moves != 0:
-                    way = h.stiffness * follow_turn(model.shapes[r, k], touched.edge).by_edge
+                    way = h.stiffness * follow_turn(model.shapes[r, k], c.edge).by_edge
                 for b in range(6):
                     by = h.per_force * follow(touched, b).force
                     by += wp.where(b < 3, way[b % 3], -way[b % 3])

@@ -17,8 +17,8 @@ class Shape:
     """An obstacle in its own frame: the half-space z < 0, a solid of
     `wrod.kernels.contact.solids` with its sizes, or nothing, which fills a row. A box has half
     sizes `size`; cylinder, capsule and cone, about z, have radius size[0] and half height size[1];
-    a mesh lies within size[0] of its origin. One that moves (`BY_OTHERS`, `WITH_RODS`) has come
-    from the pose before in this step."""
+    a mesh lies within size[0] of its origin, and size[1] is less where it has hollows. One that
+    moves (`BY_OTHERS`, `WITH_RODS`) has come from the pose before in this step."""
 
     kind: int
     position: wp.vec3d

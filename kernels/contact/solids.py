@@ -20,6 +20,10 @@ CAPSULE = wp.constant(4)
 CONE = wp.constant(5)
 ELLIPSOID = wp.constant(6)
 MESH = wp.constant(7)
+# A triangle of a mesh, a side or a corner of it: its size is which triangle, and which of these.
+PART = wp.constant(8)
+CORNERS = wp.constant(4)
+PARTS = wp.constant(7)
 # Of the search for the nearest point of an ellipsoid.
 HALVINGS = wp.constant(70)
 
@@ -256,7 +260,63 @@ def mesh_corner(mesh: wp.uint64, face: int, k: int) -> wp.vec3d:
 @wp.func
 def on_segment(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
     e = b - a
-    return wp.clamp(wp.dot(p - a, e) / wp.dot(e, e), ZERO, ONE)
+    return wp.clamp(wp.dot(p - a, e) / wp.max(wp.dot(e, e), wp.float64(1.0e-300)), ZERO, ONE)
+
+
+@wp.func
+def triangle_surface(
+    p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, side: wp.float64, size: wp.float64
+) -> Surface:
+    """Of a triangle, a segment (b = c) or a point, seen from the side on which p is; or, of a
+    triangle of a surface, from outside: p is inside (side -1) or outside (1) where its nearest
+    point is on the border."""
+    s = Surface()
+    face = wp.normalize(wp.cross(b - a, c - a))
+    height = wp.dot(p - a, face)
+    foot = p - height * face
+    within = (
+        wp.length_sq(face) > ZERO
+        and wp.dot(wp.cross(b - a, foot - a), face) >= ZERO
+        and wp.dot(wp.cross(c - b, foot - b), face) >= ZERO
+        and wp.dot(wp.cross(a - c, foot - c), face) >= ZERO
+    )
+    if within:
+        turned = wp.where(side == ZERO and height < ZERO, -ONE, ONE)
+        s.distance = turned * height
+        s.normal = turned * face
+        return s
+    # The nearest point of the three sides.
+    best = wp.float64(1.0e300)
+    point = wp.vec3d(a)
+    along = wp.vec3d(ZERO, ZERO, ZERO)
+    corner = bool(False)
+    for k in range(3):
+        u = a
+        v = b
+        if k == 1:
+            u = b
+            v = c
+        if k == 2:
+            u = c
+            v = a
+        f = on_segment(p, u, v)
+        x = u + f * (v - u)
+        d = wp.length(p - x)
+        if d < best:
+            best = wp.float64(d)
+            point = wp.vec3d(x)
+            along = wp.normalize(v - u)
+            corner = wp.min(f, ONE - f) == ZERO
+    sign = wp.where(side < ZERO, -ONE, ONE)
+    s.distance = sign * best
+    s.normal = face
+    if best > wp.float64(1.0e-9) * size:
+        s.normal = (sign / best) * (p - point)
+        bend = wp.identity(3, dtype=wp.float64) - wp.outer(s.normal, s.normal)
+        if not corner:
+            bend = bend - wp.outer(along, along)
+        s.bend = bend / (sign * best)
+    return s
 
 
 @wp.func
@@ -272,44 +332,22 @@ def mesh_surface(p: wp.vec3d, mesh: wp.uint64, size: wp.float64) -> Surface:
     a = mesh_corner(mesh, q.face, 0)
     b = mesh_corner(mesh, q.face, 1)
     c = mesh_corner(mesh, q.face, 2)
-    face = wp.normalize(wp.cross(b - a, c - a))
-    height = wp.dot(p - a, face)
-    foot = p - height * face
-    within = (
-        wp.dot(wp.cross(b - a, foot - a), face) >= ZERO
-        and wp.dot(wp.cross(c - b, foot - b), face) >= ZERO
-        and wp.dot(wp.cross(a - c, foot - c), face) >= ZERO
-    )
-    if within:
-        s.distance = height
-        s.normal = face
-        return s
-    # The nearest point of the three sides.
-    best = wp.float64(1.0e300)
-    point = wp.vec3d(a)
-    along = wp.vec3d(ZERO, ZERO, ZERO)
-    corner = bool(False)
-    for k in range(3):
-        u = mesh_corner(mesh, q.face, k)
-        v = mesh_corner(mesh, q.face, (k + 1) % 3)
-        f = on_segment(p, u, v)
-        x = u + f * (v - u)
-        d = wp.length(p - x)
-        if d < best:
-            best = wp.float64(d)
-            point = wp.vec3d(x)
-            along = wp.normalize(v - u)
-            corner = wp.min(f, ONE - f) == ZERO
-    sign = wp.where(q.sign < 0.0, -ONE, ONE)
-    s.distance = sign * best
-    s.normal = face
-    if best > wp.float64(1.0e-9) * size:
-        s.normal = (sign / best) * (p - point)
-        bend = wp.identity(3, dtype=wp.float64) - wp.outer(s.normal, s.normal)
-        if not corner:
-            bend = bend - wp.outer(along, along)
-        s.bend = bend / (sign * best)
-    return s
+    return triangle_surface(p, a, b, c, wp.where(q.sign < 0.0, -ONE, ONE), size)
+
+
+@wp.func
+def part_surface(p: wp.vec3d, mesh: wp.uint64, face: int, k: int, size: wp.float64) -> Surface:
+    """Of a triangle of a mesh (k = 0), its side k, or its corner k - 4."""
+    first = wp.where(k < CORNERS, wp.max(k - 1, 0), k - CORNERS)
+    a = mesh_corner(mesh, face, first)
+    b = wp.vec3d(a)
+    c = wp.vec3d(a)
+    if k < CORNERS:
+        b = mesh_corner(mesh, face, (first + 1) % 3)
+        c = wp.vec3d(b)
+    if k == 0:
+        c = mesh_corner(mesh, face, 2)
+    return triangle_surface(p, a, b, c, ZERO, size)
 
 
 # Written out at every place that asks, this takes a GPU's compiler minutes.
@@ -330,6 +368,8 @@ def solid_surface(kind: int, size: wp.vec3d, mesh: wp.uint64, p: wp.vec3d) -> Su
         s = ellipsoid_surface(p, size)
     elif kind == MESH:
         s = mesh_surface(p, mesh, size[0])
+    elif kind == PART:
+        s = part_surface(p, mesh, int(size[0]), int(size[1]), size[2])
     return s
 
 

@@ -142,8 +142,8 @@ def push_carriers(
         add_columns(touch, r, j, a, by_shift_head, by_turn_head)
         add_columns(touch, r, j, a + 4, by_shift_tail, by_turn_tail)
         total = b.at_head + b.at_tail
-        point = node(dof, r, i) + c.near.s * c.edge
-        add_wrench(push, r, s, -total, point - place)
+        add_wrench(push, r, s, -b.at_head, node(dof, r, i) - place)
+        add_wrench(push, r, s, -b.at_tail, node(dof, r, i + 1) - place)
         add_press(press, r, j, j, -(by_shift_head + by_shift_tail))
         add_press(press, r, j, j + 3, -(by_turn_head + by_turn_tail))
         corner = arm_head * by_shift_head + arm_tail * by_shift_tail + wp.skew(total)

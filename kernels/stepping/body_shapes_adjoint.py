@@ -85,12 +85,11 @@ def weigh_touches(
         if c.force <= ZERO:
             continue
         h = hold(model, step, c, r, k, i)
-        total = h.pull - h.force * c.near.normal
         x = Arms()
         x.head = node(step.dof, r, i) - at.place[r, s]
         x.tail = node(step.dof, r, i + 1) - at.place[r, s]
-        x.at_head = (ONE - c.near.s) * total
-        x.at_tail = c.near.s * total
+        x.at_head = (ONE - c.near.s) * h.pull - h.force * c.near.head
+        x.at_tail = c.near.s * h.pull - h.force * c.near.tail
         j = 6 * s
         for b in range(6):
             by = follow(h, b)
@@ -104,7 +103,7 @@ def weigh_touches(
             arms_move = wp.vec3d(ZERO, ZERO, ZERO)
             if b < 3:
                 by = follow(h, PLACE + b)
-                arms_move = -wp.cross(unit(b), total)
+                arms_move = -wp.cross(unit(b), x.at_head + x.at_tail)
             else:
                 by = follow(h, TURN + b - 3)
                 way = wp.cross(unit(b - 3), off)

@@ -14,6 +14,9 @@ from wrod.kernels.contact import shapes as kernels
 from wrod.kernels.contact import solids
 
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+# How far a vertex may lie over a convex mesh, over its size, and triangles that are looked at
+# together.
+_FLAT, _TOGETHER = 1e-6, 1000
 
 
 _VECTOR, _NUMBER = arguments.array((3,)), arguments.number()
@@ -118,8 +121,8 @@ class Ellipsoid(_Checked):
 class Mesh:
     """A closed surface of triangles, whose corners run anticlockwise seen from outside.
 
-    Hollow ones are touched in one place by each edge of a rod: where it is nearest, as it finds
-    from its middle.
+    An edge of a rod touches a convex one where it is nearest; one with hollows by what is nearest
+    on all triangles about there (`wrod.kernels.contact.gap`).
 
     Attributes:
         vertices: (vertex, 3) in the mesh's own frame [length].
@@ -137,6 +140,7 @@ class Mesh:
     rotation: tuple[float, float, float, float] = _UPRIGHT
     device: str = "cpu"
     _mesh: wp.Mesh = field(init=False, repr=False)
+    _hollow: bool = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         vertices = np.asarray(self.vertices, dtype=float)
@@ -155,6 +159,7 @@ class Mesh:
             indices=wp.array(triangles.ravel(), dtype=wp.int32, device=self.device),
         )
         object.__setattr__(self, "_mesh", mesh)
+        object.__setattr__(self, "_hollow", _is_hollow(vertices, corner[area > 1e-12 * area.max()]))
 
     def moved(self, center, rotation) -> Mesh:
         """The same mesh in another place."""
@@ -164,7 +169,19 @@ class Mesh:
 
     def _describe(self):
         reach = float(np.linalg.norm(self.vertices, axis=1).max())
-        return int(solids.MESH), self.center, self.rotation, (reach, reach, reach)
+        size = (reach, 0.5 * reach if self._hollow else reach, reach)
+        return int(solids.MESH), self.center, self.rotation, size
+
+
+def _is_hollow(vertices: np.ndarray, corner: np.ndarray) -> bool:
+    """Whether a vertex lies over the plane of a triangle (triangle, corner, 3)."""
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal = across / np.linalg.norm(across, axis=1)[:, None]
+    height = np.einsum("ij,ij->i", normal, corner[:, 0])
+    over = _FLAT * np.abs(vertices).max()
+    parts = range(0, len(normal), _TOGETHER)
+    ends = [slice(a, a + _TOGETHER) for a in parts]
+    return any(bool((vertices @ normal[p].T > height[p] + over).any()) for p in ends)
 
 
 Shape = Plane | Box | Cylinder | Sphere | Capsule | Cone | Ellipsoid | Mesh
