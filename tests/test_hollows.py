@@ -1,12 +1,18 @@
 """Meshes with hollows: the gap of edges and its derivatives, rods in folds and bowls."""
 
+import newton
 import numpy as np
 import pytest
 import warp as wp
+from chosen import DEVICE
+from hollows import ground_mesh
 from wrod.kernels.contact.gap import Gap, edge_gap
 from wrod.kernels.contact.shapes import Shape
 
+import wrod
 from wrod.solvers import solids
+
+SolverDER = wrod.SolverDER
 
 RADIUS = 0.005
 
@@ -33,16 +39,6 @@ def gaps(mesh, ends, c=1e-4, radius=RADIUS):
     return out.numpy()
 
 
-def ground(height, n=25, size=0.3):
-    """A surface of triangles, of so many points a side, over (-size, size)^2."""
-    x = np.linspace(-size, size, n)
-    a, b = np.meshgrid(x, x, indexing="ij")
-    vertices = np.stack([a, b, height(a, b)], axis=-1).reshape(-1, 3)
-    i = np.arange(n * n).reshape(n, n)
-    p, q, r, s = (i[u, v].ravel() for u in (np.s_[:-1], np.s_[1:]) for v in (np.s_[:-1], np.s_[1:]))
-    return vertices, np.concatenate([np.column_stack([p, r, s]), np.column_stack([p, s, q])])
-
-
 def waves(x, y):
     return 0.02 * np.sin(20 * x) * np.cos(15 * y)
 
@@ -60,7 +56,9 @@ def edges_over(generator, n, height=waves, length=0.02):
 def test_derivatives_of_the_gap():
     """Gradients of distance and s, and second derivatives, by differences of the distance, of its
     gradient and of s; a few reach over the border of a triangle, where they jump."""
-    mesh = solids.Mesh(*ground(waves), center=(0.01, 0.0, 0.02), rotation=(0.02, 0.1, -0.05, 0.99))
+    mesh = solids.Mesh(
+        *ground_mesh(waves), center=(0.01, 0.0, 0.02), rotation=(0.02, 0.1, -0.05, 0.99)
+    )
     turn = mesh._mesh.points.numpy().reshape(-1, 3)
     assert len(turn) == 625
     rotation = wp.quat_to_matrix(solids.shape_record(mesh).rotation)
@@ -105,7 +103,7 @@ def test_derivatives_of_the_gap():
 def test_flat_parts_of_a_hollow_mesh_are_planes():
     """The gap of edges on a floor of many triangles before a wall is that of a plane, wherever
     the edges lie on them; half a triangle from the wall, and over a ridge, as well."""
-    mesh = solids.Mesh(*ground(lambda x, y: np.where(x > 0.25, 0.1, 0.0)))
+    mesh = solids.Mesh(*ground_mesh(lambda x, y: np.where(x > 0.25, 0.1, 0.0)))
     assert mesh._hollow
     generator = np.random.default_rng(5)
     ends = edges_over(generator, 300, lambda x, y: 0.0 * x)
@@ -120,3 +118,80 @@ def test_flat_parts_of_a_hollow_mesh_are_planes():
     assert found["normal"][near] == pytest.approx(
         np.array([[0.0, 0.0, 1.0]] * near.sum()), abs=1e-9
     )
+
+
+def lay(height, points, mu, gravity=(0.0, 0.0, -9.81), n=3, **options):
+    """A stiff rod over a mesh, its solver and state."""
+    builder = newton.ModelBuilder(gravity=gravity)
+    SolverDER.register_custom_attributes(builder)
+    vertices, triangles = ground_mesh(height, n)
+    cfg = newton.ModelBuilder.ShapeConfig(mu=mu)
+    builder.add_shape_mesh(-1, mesh=newton.Mesh(vertices, triangles.ravel()), cfg=cfg)
+    material = wrod.RodMaterial(radius=RADIUS, gravito_bending_length=0.5, length=1.0)
+    SolverDER.add_rod(builder, points, material, **options)
+    model = builder.finalize(device=DEVICE)
+    return SolverDER(model), model.state()
+
+
+SIDES = 0.5  # slope of a gutter's
+
+
+@pytest.mark.parametrize("part", [0.95, 1.05])
+def test_a_gutter_holds_by_both_sides(part):
+    """A rod in a gutter along x lies on both sides, each of which bears W / (2 cos), and slides
+    along it where the slope is steeper than mu / cos, by what is left of its weight."""
+    mu, cos = 0.3, 1.0 / np.hypot(1.0, SIDES)
+    slope = np.arctan(part * mu / cos)
+    gravity = 9.81 * np.array([np.sin(slope), 0.0, -np.cos(slope)])
+    line = np.linspace((-0.1, 0.0, RADIUS / cos), (0.1, 0.0, RADIUS / cos), 11)
+    solver, state = lay(lambda x, y: SIDES * np.abs(y), line, mu, tuple(gravity))
+    for _ in range(20):
+        solver.step(state, state, None, None, 0.005)
+    assert not solver.diverged.any()
+    start = state.der.node_qd.numpy().copy()
+    for _ in range(20):
+        solver.step(state, state, None, None, 0.005)
+    z, v = state.der.node_q.numpy()[:, 2], state.der.node_qd.numpy()
+    assert z * cos == pytest.approx(RADIUS, abs=0.03 * RADIUS)
+    expected = 9.81 * max(0.0, np.sin(slope) - mu * np.cos(slope) / cos)
+    assert (v - start)[:, 0] / 0.1 == pytest.approx(expected, abs=0.003 * 9.81)
+    assert np.abs(v[:, 1:]).max() < 1e-4
+
+
+def test_a_rod_across_a_bowl_touches_with_both_ends():
+    """It hangs between them, as far from the middle of the sphere as its radius says."""
+    ball, half = 0.3, 0.08
+    depth = np.sqrt((ball - RADIUS) ** 2 - half**2)
+    line = np.linspace((-half, 0.0, ball - depth), (half, 0.0, ball - depth), 6)
+    solver, state = lay(
+        lambda x, y: ball - np.sqrt(np.maximum(ball**2 - x**2 - y**2, 0.0)), line, 0.3, n=121,
+        internal_damping=0.05, air_damping=5.0,
+    )  # fmt: skip
+    for _ in range(60):
+        solver.step(state, state, None, None, 1 / 60)
+    assert not solver.diverged.any()
+    q, v = state.der.node_q.numpy(), state.der.node_qd.numpy()
+    assert np.abs(v).max() < 1e-3
+    far = np.linalg.norm(q - [0.0, 0.0, ball], axis=1)
+    assert ball - far[[0, -1]] == pytest.approx(RADIUS, abs=0.05 * RADIUS)
+    assert (ball - far[1:-1] > 1.2 * RADIUS).all()
+    pushed = state.der.node_contact_f.numpy()
+    assert np.abs(pushed[1:-1]).max() < 1e-9 * pushed[0, 2]
+    weight = 9.81 * solver.model.der.node_mass.numpy().sum()
+    assert pushed[:, 2].sum() == pytest.approx(weight, rel=1e-3)
+
+
+@pytest.mark.parametrize("mu", [0.4, 0.0])
+def test_rods_come_to_rest_on_waves(mu):
+    """Rods that are dropped, bent, and slide over waves, or off their rim, are never cut out."""
+    angle = np.linspace(0.0, 1.5, 16)
+    for turn in (0.0, 1.0, 2.0):
+        line = 0.1 * np.stack([np.cos(angle + turn), np.sin(angle + turn), 0 * angle + 0.4], axis=1)
+        velocity = np.tile([1.0, -0.5, -0.5], (16, 1))
+        solver, state = lay(waves, line, mu, n=12, velocity=velocity, internal_damping=0.02)
+        for _ in range(30):
+            solver.step(state, state, None, None, 1 / 60)
+        assert not solver.diverged.any()
+        q = state.der.node_q.numpy()
+        on_it = np.abs(q[:, :2]).max(axis=1) < 0.3
+        assert (q[on_it, 2] > waves(*q[on_it, :2].T) - 0.01).all()  # which is of coarse triangles

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from chosen import DEVICE
+from hollows import ground_mesh
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
@@ -132,7 +133,7 @@ class Scene:
             builder.end_world()
         cfg = newton.ModelBuilder.ShapeConfig(mu=0.02 if curled else 0.25)
         tray = -1
-        carried = ground in ("tray", "slab")
+        carried = ground in ("tray", "slab", "rough tray")
         if carried and mass is None:
             tray = builder.add_link(is_kinematic=True)
         elif carried:  # which others move by forces, so that rods press it gently
@@ -140,6 +141,11 @@ class Scene:
             tray = builder.add_link(mass=mass, inertia=mass * 1e-3 * np.eye(3))
         if ground in ("solids", "tray"):
             self._add_solids(builder, tray, cfg)
+        elif ground in ("rough", "rough tray"):
+            heights = np.random.default_rng(7).uniform(-1.5e-4, 1.5e-4, (17, 17))
+            vertices, triangles = ground_mesh(lambda x, y: heights, 17, 0.2)
+            mesh = newton.Mesh(vertices + [0.15, 0.15, 0.0], triangles.ravel())
+            builder.add_shape_mesh(tray, mesh=mesh, cfg=cfg)
         elif ground == "slab":
             builder.add_shape_plane(body=tray, width=0.0, length=0.0, cfg=cfg)
         elif ground:
@@ -501,13 +507,17 @@ SOLIDS = [1, 1, 1, 0, 1, 1]
         ("tray", SOLIDS, {"mass": 1.0}),
         ("slab", [1], {}),
         ("slab", [1], {"mass": 1.0, "max_step": 0.003}),
+        ("rough", [1], {}),
+        ("rough", [1], {"curled": True}),
+        ("rough tray", [1], {}),
+        ("rough tray", [1], {"mass": 0.01}),
     ],
 )
 def test_gradients_over_the_ground(ground, rubs, options):
-    """Of cables that a hand drags over the ground, or over a box, a ball, a capsule, a cylinder, an
-    ellipsoid and a mesh, where they slide and stick, by friction as well; and by the poses of a
-    tray that carries these, or a plane without ends, along and turns them, also of one that rods
-    must not press firmly. Those that are bent at rest keep their roll."""
+    """Of cables that a hand drags over the ground, over a mesh with hollows, or over a box, a ball,
+    a capsule, a cylinder, an ellipsoid and a mesh, where they slide and stick, by friction as well;
+    and by the poses of a tray that carries these, or a plane without ends, along and turns them,
+    also of one that rods must not press firmly. Those that are bent at rest keep their roll."""
     names = [n for n in EVERY if n != "node_natural_curvature" or "curled" in options]
     scene = Scene(ground=ground, dt=0.005, **options)
     # Where edges roll an iteration more or less is seen, where heights matter the skin.

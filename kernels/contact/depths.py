@@ -100,7 +100,7 @@ def refuse_tunnelling(
             before = closest_on_edge(was, q_before, p_before - q_before, c)
             after = closest_on_edge(shape, q, p - q, c)
             inside = before.distance <= ZERO or hidden[r, i] > ZERO
-            met = before.distance + after.distance <= way
+            met = before.distance + wp.abs(after.distance) <= way
             if inside:
                 n = wp.quat_rotate_inv(was.rotation, before.normal)
                 met = wp.dot(wp.quat_rotate(shape.rotation, n), after.normal) < ZERO

@@ -32,7 +32,7 @@ SOFTNESS = wp.constant(wp.float64(0.01))
 WIDTHS = wp.constant(wp.float64(30.0))
 # What is left of what counts, at least, for its logarithm to mean something: in a pipe as narrow as
 # the rod its triangles cancel.
-LEAST = wp.constant(wp.float64(0.05))
+LEAST = wp.constant(wp.float64(0.01))
 TURN = wp.constant(wp.float64(2.0 * wp.pi))
 
 

@@ -4,8 +4,8 @@ All in the solid's own frame, in float64. A solid of revolution about z is a fig
 half-plane (radius, z): where the nearest point lies on a straight side of it, the distance bends
 only around the axis, by n_radius / radius; where it is a corner, also along the meridian, by
 1 / distance.
-Meshes are closed; their triangles are found by Warp in float32 and measured again in float64, so
-that forces are smooth.
+Triangles of meshes are found by Warp in float32 and measured again in float64, so that forces are
+smooth. Those that enclose nothing are sheets with two sides.
 """
 
 import warp as wp
@@ -332,7 +332,14 @@ def mesh_surface(p: wp.vec3d, mesh: wp.uint64, size: wp.float64) -> Surface:
     a = mesh_corner(mesh, q.face, 0)
     b = mesh_corner(mesh, q.face, 1)
     c = mesh_corner(mesh, q.face, 2)
-    return triangle_surface(p, a, b, c, wp.where(q.sign < 0.0, -ONE, ONE), size)
+    side = wp.float64(1.0)
+    if q.sign < 0.0:
+        # Behind its nearest triangle; what a surface does not enclose is outside.
+        around = wp.mesh_query_point_sign_winding_number(
+            mesh, wp.vec3(float(p[0]), float(p[1]), float(p[2])), float(wp.float64(4.0) * size)
+        )
+        side = wp.where(around.sign < 0.0, -ONE, ZERO)
+    return triangle_surface(p, a, b, c, side, size)
 
 
 @wp.func

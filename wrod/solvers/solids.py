@@ -119,7 +119,8 @@ class Ellipsoid(_Checked):
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A closed surface of triangles, whose corners run anticlockwise seen from outside.
+    """A surface of triangles, whose corners run anticlockwise seen from outside; one that encloses
+    nothing is a sheet that rods touch from both sides.
 
     An edge of a rod touches a convex one where it is nearest; one with hollows by what is nearest
     on all triangles about there (`wrod.kernels.contact.gap`).
@@ -157,6 +158,7 @@ class Mesh:
         mesh = wp.Mesh(
             points=wp.array(vertices, dtype=wp.vec3, device=self.device),
             indices=wp.array(triangles.ravel(), dtype=wp.int32, device=self.device),
+            support_winding_number=True,
         )
         object.__setattr__(self, "_mesh", mesh)
         object.__setattr__(self, "_hollow", _is_hollow(vertices, corner[area > 1e-12 * area.max()]))
