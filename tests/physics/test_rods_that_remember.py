@@ -118,6 +118,27 @@ def test_moment_of_a_rod_that_is_held_bent_relaxes(scheme):
         assert moment(dynamics)[0] == pytest.approx(B * excess(dynamics)[0] * (1 + left), rel=0.002)
 
 
+@pytest.mark.parametrize(("scheme", "near"), [("euler", 0.005), ("bdf2", 0.001)])
+def test_zeners_solid_as_a_law_and_as_damping_that_relaxes(scheme, near):
+    """Both are M = B (e + g z): what is between them goes with the step."""
+    added, time = 0.8, 0.5
+    apart = []
+    for step in (0.02, 0.01):
+        dynamics = bent_at_both_ends(
+            [StandardLinearSolid(added, time), Linear()], [0.0, 0.2, 10.0], [0.0, 6.0, 6.0],
+            scheme=scheme, internal_damping=[0.0, added * time],
+        )  # fmt: skip
+        dynamics.relax([0.0, time])
+        moments = []
+        for t in (0.2, 0.4, 0.8, 1.6):
+            dynamics.advance(t, step)
+            x = dynamics.batch.positions()
+            moments.append(np.cross(x[:, 0] - x[:, 1], dynamics.reaction.numpy()[:, :3])[:, 1])
+        law, damping = np.array(moments).T
+        apart.append(np.abs(damping / law - 1.0).max())
+    assert apart[1] < near and apart[1] < 0.6 * apart[0]
+
+
 @pytest.mark.parametrize("hardening", [0.0, 0.25])
 def test_a_wire_springs_back_to_the_radius_that_it_keeps(hardening):
     """Bent to k and let go it keeps the curvature (1 - r) (k - k_y)."""
