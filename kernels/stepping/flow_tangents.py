@@ -56,6 +56,36 @@ class Strains:
     pull: wp.float64
 
 
+@wp.func
+def strains_at(
+    dof: wp.array2d(dtype=wp.float64), director: wp.array2d(dtype=wp.vec3d), r: int, i: int
+) -> Strains:
+    """Their answers to edges alone; at the first node to the edge after it."""
+    out = Strains()
+    out.tangent = wp.normalize(edge(dof, r, i))
+    if i > 0:
+        s = stencil(dof, director, r, i)
+        first = component(s, 0)
+        second = component(s, 1)
+        binormal = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
+        out.before = wp.matrix_from_rows(first.e, second.e, binormal) / s.length_e
+        out.after = wp.matrix_from_rows(first.f, second.f, binormal) / s.length_f
+        out.angle_before = wp.vec3d(first.te, second.te, -ONE)
+        out.angle_after = wp.vec3d(first.tf, second.tf, ONE)
+    return out
+
+
+@wp.func
+def strain_rate(s: Strains, x: wp.array3d(dtype=Any), r: int, p: int, i: int, k: int):
+    """Of curvature or twist k at node i > 0."""
+    a = 4 * i
+    rate = s.angle_before[k] * x[r, p, a - 1] + s.angle_after[k] * x[r, p, a + 3]
+    for m in range(3):
+        rate += s.before[k, m] * (x[r, p, a + m] - x[r, p, a - 4 + m])
+        rate += s.after[k, m] * (x[r, p, a + 4 + m] - x[r, p, a + m])
+    return rate
+
+
 @wp.kernel
 def linearise_flow(
     # Model:
@@ -75,13 +105,12 @@ def linearise_flow(
     r, i = wp.tid()
     if pace.accepted[r] == 0:
         return
-    out = Strains()
+    out = strains_at(dof, director, r, i)
     c = pace.coefficient[r] / pace.step[r]
     times = viscous_time[r, i]
     theta = relaxation[wp.min(r, relaxation.shape[0] - 1), i]
     eta, _ = times_of(wp.vec4d(times[0], times[1], times[2], theta), c[0])
     h = model.rest_length[r, i]
-    out.tangent = wp.normalize(edge(dof, r, i))
     out.pull = times[3] * model.stretching[r, i] / h
     if i > 0:
         length = HALF * (model.rest_length[r, i - 1] + h)
@@ -89,19 +118,14 @@ def linearise_flow(
         share = ONE
         if i == model.rest_length.shape[1] - 1:
             share = HALF * model.rest_length[r, i - 1] / length
-        s = stencil(dof, director, r, i)
-        first = component(s, 0)
-        second = component(s, 1)
-        binormal = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
-        out.before = wp.matrix_from_rows(first.e, second.e, binormal) / s.length_e
-        out.after = wp.matrix_from_rows(first.f, second.f, binormal) / s.length_f
-        out.angle_before = wp.vec3d(first.te, second.te, -ONE)
-        out.angle_after = wp.vec3d(first.tf, second.tf, ONE)
         b = model.bending[r, i]
         law = model.softening[r, i]
         moment = wp.diag(b)
         if law[0] != ZERO:
             # M = B e (r + (1 - r) / D), D = 1 + 2 c (B_1 e_1^2 + B_2 e_2^2) / (B_1 + B_2).
+            s = stencil(dof, director, r, i)
+            first = component(s, 0)
+            second = component(s, 1)
             was = strain_before[r, i]
             past = strain_older[r, i]
             flow_1 = c[0] * first.kappa + c[1] * was[0] + c[2] * past[0]
@@ -146,25 +170,14 @@ def measure_strain_rates(
     share = ONE / (ONE + theta * c[0])
     s = strains[r, i]
     older[r, p, a + 3] = now[r, p, a + 3]
-    f0 = x[r, p, a + 4] - x[r, p, a]
-    f1 = x[r, p, a + 5] - x[r, p, a + 1]
-    f2 = x[r, p, a + 6] - x[r, p, a + 2]
-    now[r, p, a + 3] = s.tangent[0] * f0 + s.tangent[1] * f1 + s.tangent[2] * f2
+    now[r, p, a + 3] = along(s.tangent, x, r, p, i)
     if i == 0:
         return
-    e0 = x[r, p, a] - x[r, p, a - 4]
-    e1 = x[r, p, a + 1] - x[r, p, a - 3]
-    e2 = x[r, p, a + 2] - x[r, p, a - 2]
-    te = x[r, p, a - 1]
-    tf = x[r, p, a + 3]
     for k in range(3):
-        rate = s.before[k, 0] * e0 + s.before[k, 1] * e1 + s.before[k, 2] * e2
-        rate += s.after[k, 0] * f0 + s.after[k, 1] * f1 + s.after[k, 2] * f2
-        rate += s.angle_before[k] * te + s.angle_after[k] * tf
         was = now[r, p, a + k]
         past = c[1] * was + c[2] * older[r, p, a + k]
         older[r, p, a + k] = was
-        now[r, p, a + k] = share * (rate - theta * past)
+        now[r, p, a + k] = share * (strain_rate(s, x, r, p, i, k) - theta * past)
 
 
 @wp.func

@@ -140,14 +140,14 @@ def elastic_tangents(
     reference_twist: wp.array2d(dtype=wp.float64),
     strain_before: wp.array2d(dtype=wp.vec4d),
     strain_older: wp.array2d(dtype=wp.vec4d),
-    strain_tangent_before: wp.array3d(dtype=wp.vec3d),
-    strain_tangent_older: wp.array3d(dtype=wp.vec3d),
+    strain_tangent_before: wp.array3d(dtype=wp.vec4d),
+    strain_tangent_older: wp.array3d(dtype=wp.vec4d),
     per_thread: int,
     # In and out: (rod x column, dof)
     right_hand_side: wp.array2d(dtype=wp.float64),
 ):
-    """Minus the rate of the elastic and viscous forces at a fixed configuration; the last viscous
-    time is that in which viscous moments relax."""
+    """Minus the rate of the elastic and viscous forces at a fixed configuration. The time of the
+    first bending damps stretching, too; the last is that in which viscous moments relax."""
     r, i, group = wp.tid()
     if pace.accepted[r] == 0:
         return
@@ -157,26 +157,32 @@ def elastic_tangents(
     shared = stiffness_rate.shape[0] == columns
     first_column = group * per_thread
     last_column = wp.min(columns, first_column + per_thread)
+    before = strain_before[r, i]
+    older = strain_older[r, i]
     # The edge after node i stretches.
     e = edge(dof, r, i)
     length_e = wp.length(e)
     rest_e = rest_length[r, i]
     stretch = length_e / rest_e - ONE
     m = wp.min(r, stiffness.shape[0] - 1)
+    damped = viscous_time[m, i][0]
+    c = coefficient / (dt * rest_e)
+    stretching_flow = c[0] * length_e + c[1] * before[3] + c[2] * older[3]
     for j in range(first_column, last_column):
         row = r * columns + j
         q = wp.where(shared, j, row)
-        pull = stretching_rate[q, i] * stretch
+        past = c[1] * strain_tangent_before[r, j, i] + c[2] * strain_tangent_older[r, j, i]
+        faster = past[3] - stretching_flow * rest_length_rate[q, i] / rest_e
+        pull = stretching_rate[q, i] * (stretch + damped * stretching_flow)
         pull -= stretching[m, i] * length_e / (rest_e * rest_e) * rest_length_rate[q, i]
-        for c in range(3):
-            wp.atomic_add(right_hand_side, row, 4 * i + c, pull * e[c] / length_e)
-            wp.atomic_add(right_hand_side, row, 4 * i + 4 + c, -pull * e[c] / length_e)
+        pull += stretching[m, i] * (viscous_time_rate[q, i][0] * stretching_flow + damped * faster)
+        for d in range(3):
+            wp.atomic_add(right_hand_side, row, 4 * i + d, pull * e[d] / length_e)
+            wp.atomic_add(right_hand_side, row, 4 * i + 4 + d, -pull * e[d] / length_e)
     if i == 0:
         return
     length = HALF * (rest_length[r, i - 1] + rest_length[r, i])
     now = strain(dof, director, reference_twist, r, i)
-    before = strain_before[r, i]
-    older = strain_older[r, i]
     flow = rate(
         coefficient,
         dt,
@@ -201,12 +207,14 @@ def elastic_tangents(
         row = r * columns + j
         q = wp.where(shared, j, row)
         length_rate = HALF * (rest_length_rate[q, i - 1] + rest_length_rate[q, i])
+        moved = strain_tangent_before[r, j, i]
+        past = strain_tangent_older[r, j, i]
         flow_rate = rate(
             coefficient,
             dt,
             wp.vec3d(ZERO, ZERO, ZERO),
-            strain_tangent_before[r, j, i],
-            strain_tangent_older[r, j, i],
+            wp.vec3d(moved[0], moved[1], moved[2]),
+            wp.vec3d(past[0], past[1], past[2]),
         )
         b_rate = stiffness_rate[q, i]
         t = viscous_time_rate[q, i]
@@ -228,57 +236,6 @@ def elastic_tangents(
         g_tf = moment[0] * first.tf + moment[1] * second.tf + moment[2] + invariant * k_tf
         wp.atomic_add(right_hand_side, row, 4 * i - 1, -g_te)
         wp.atomic_add(right_hand_side, row, 4 * i + 3, -g_tf)
-
-
-@wp.kernel
-def stretch_damping_tangents(
-    # Model:
-    rest_length: wp.array2d(dtype=wp.float64),
-    stretching: wp.array2d(dtype=wp.float64),
-    viscous_time: wp.array2d(dtype=wp.vec4d),
-    rest_length_rate: wp.array2d(dtype=wp.float64),
-    stretching_rate: wp.array2d(dtype=wp.float64),
-    viscous_time_rate: wp.array2d(dtype=wp.vec4d),
-    # State in:
-    pace: Pace,
-    dof: wp.array2d(dtype=wp.float64),
-    before: wp.array2d(dtype=wp.float64),
-    older: wp.array2d(dtype=wp.float64),
-    tangent_before: wp.array3d(dtype=wp.float64),
-    tangent_older: wp.array3d(dtype=wp.float64),
-    per_thread: int,
-    # In and out:
-    right_hand_side: wp.array3d(dtype=wp.float64),
-):
-    """Minus the rate of what damps stretching, by the time of the first bending, at a fixed
-    configuration."""
-    r, i, group = wp.tid()
-    if pace.accepted[r] == 0:
-        return
-    m = wp.min(r, stretching.shape[0] - 1)
-    c = pace.coefficient[r]
-    rest = rest_length[r, i]
-    e = edge(dof, r, i)
-    e_before = edge(before, r, i)
-    e_older = edge(older, r, i)
-    length = wp.length(e)
-    length_before = wp.length(e_before)
-    length_older = wp.length(e_older)
-    flow = (c[0] * length + c[1] * length_before + c[2] * length_older) / (pace.step[r] * rest)
-    k = stretching[m, i]
-    eta = viscous_time[m, i][0]
-    last_column = wp.min(right_hand_side.shape[1], (group + 1) * per_thread)
-    for j in range(group * per_thread, last_column):
-        moved = column_node(tangent_before, r, j, i + 1) - column_node(tangent_before, r, j, i)
-        flow_rate = c[1] * wp.dot(e_before, moved) / length_before
-        moved = column_node(tangent_older, r, j, i + 1) - column_node(tangent_older, r, j, i)
-        flow_rate += c[2] * wp.dot(e_older, moved) / length_older
-        flow_rate = flow_rate / (pace.step[r] * rest) - flow * rest_length_rate[j, i] / rest
-        pull = (stretching_rate[j, i] * eta + k * viscous_time_rate[j, i][0]) * flow
-        pull += k * eta * flow_rate
-        for d in range(3):
-            wp.atomic_add(right_hand_side, r, j, 4 * i + d, pull * e[d] / length)
-            wp.atomic_add(right_hand_side, r, j, 4 * i + 4 + d, -pull * e[d] / length)
 
 
 @wp.kernel

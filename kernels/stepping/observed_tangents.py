@@ -2,8 +2,9 @@
 on it show; see `motion_tangents`."""
 
 import warp as wp
-from wrod.kernels.elastic.curvature import component, stencil
-from wrod.kernels.elastic.frames import HALF, ONE
+from wrod.kernels.elastic.curvature import stencil
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO
+from wrod.kernels.stepping.flow_tangents import along, strain_rate, strains_at
 from wrod.kernels.stepping.motion import frame_of
 from wrod.kernels.stepping.motion_tangents import column_node
 from wrod.kernels.stepping.pace import Pace
@@ -19,27 +20,20 @@ def measure_strain_tangents(
     director: wp.array2d(dtype=wp.vec3d),
     tangent: wp.array3d(dtype=wp.float64),
     per_thread: int,
-    strain_out: wp.array3d(dtype=wp.vec3d),
+    # Out: (rod, column, node), as in `wrod.kernels.stepping.viscosity.measure_strains`
+    strain_out: wp.array3d(dtype=wp.vec4d),
 ):
     """Rates of the strains along every column of `tangent`."""
-    r, i_, group = wp.tid()
+    r, i, group = wp.tid()
     if accepted[r] == 0:
         return
-    i = i_ + 1
-    s = stencil(dof, director, r, i)
-    first = component(s, 0)
-    second = component(s, 1)
-    binormal = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
-    last = wp.min(tangent.shape[1], (group + 1) * per_thread)
-    for j in range(group * per_thread, last):
-        middle = column_node(tangent, r, j, i)
-        de = (middle - column_node(tangent, r, j, i - 1)) / s.length_e
-        df = (column_node(tangent, r, j, i + 1) - middle) / s.length_f
-        te = tangent[r, j, 4 * i - 1]
-        tf = tangent[r, j, 4 * i + 3]
-        kappa_1 = wp.dot(first.e, de) + wp.dot(first.f, df) + first.te * te + first.tf * tf
-        kappa_2 = wp.dot(second.e, de) + wp.dot(second.f, df) + second.te * te + second.tf * tf
-        strain_out[r, j, i] = wp.vec3d(kappa_1, kappa_2, tf - te + wp.dot(binormal, de + df))
+    s = strains_at(dof, director, r, i)
+    for j in range(group * per_thread, wp.min(tangent.shape[1], (group + 1) * per_thread)):
+        out = wp.vec4d(ZERO, ZERO, ZERO, along(s.tangent, tangent, r, j, i))
+        if i > 0:
+            for k in range(3):
+                out[k] = strain_rate(s, tangent, r, j, i, k)
+        strain_out[r, j, i] = out
 
 
 @wp.kernel
@@ -54,28 +48,27 @@ def shift_strain_tangents(
     reference_twist: wp.array2d(dtype=wp.float64),
     strain_before: wp.array2d(dtype=wp.vec4d),
     strain_before_older: wp.array2d(dtype=wp.vec4d),
-    strain_new: wp.array3d(dtype=wp.vec3d),
+    strain_new: wp.array3d(dtype=wp.vec4d),
     per_thread: int,
     # In and out:
-    strain: wp.array3d(dtype=wp.vec3d),
-    strain_older: wp.array3d(dtype=wp.vec3d),
+    strain: wp.array3d(dtype=wp.vec4d),
+    strain_older: wp.array3d(dtype=wp.vec4d),
 ):
     """Rates of the strains that viscous moments remember (`viscosity.relax_strains`)."""
-    r, i_, group = wp.tid()
+    r, i, group = wp.tid()
     if pace.accepted[r] == 0:
         return
-    i = i_ + 1
     c = pace.coefficient[r] / pace.step[r]
     theta = viscous_time[wp.min(r, viscous_time.shape[0] - 1), i][3]
     now = measured(dof, director, reference_twist, r, i)
     new = relaxed_strain(c, theta, now, strain_before[r, i], strain_before_older[r, i])
     flow = c[0] * new + c[1] * strain_before[r, i] + c[2] * strain_before_older[r, i]
     for j in range(group * per_thread, wp.min(strain.shape[1], (group + 1) * per_thread)):
-        past = c[1] * strain[r, j, i] + c[2] * strain_older[r, j, i]
-        moved = strain_new[r, j, i] - theta * past
-        moved -= viscous_time_rate[j, i][3] * wp.vec3d(flow[0], flow[1], flow[2])
-        strain_older[r, j, i] = strain[r, j, i]
-        strain[r, j, i] = moved / (ONE + theta * c[0])
+        before = strain[r, j, i]
+        moved = relaxed_strain(c, theta, strain_new[r, j, i], before, strain_older[r, j, i])
+        faster = viscous_time_rate[j, i][3] / (ONE + theta * c[0])
+        strain_older[r, j, i] = before
+        strain[r, j, i] = moved - faster * wp.vec4d(flow[0], flow[1], flow[2], ZERO)
 
 
 @wp.func

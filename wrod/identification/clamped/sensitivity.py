@@ -175,7 +175,7 @@ class Sensitivity:
         # A processor's core takes all columns of a node, a GPU's threads one each.
         each = count if wp.get_device(device).is_cpu else 1
         # Nothing flows, so that the strains before do not count.
-        past, flow = zeros(wp.vec4d, rods, nodes), zeros(wp.vec3d, rods, count, nodes)
+        past, flow = zeros(wp.vec4d, rods, nodes), zeros(wp.vec4d, rods, count, nodes)
         out = zeros(wp.float64, rods * count, batch.dof_count)
         batch.launch(
             elastic_tangents,

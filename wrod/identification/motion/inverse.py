@@ -105,16 +105,15 @@ class InverseMotion:
             )
             for k in names
         ]
-        strains = wp.zeros(b.rod_count * count * b.node_count, dtype=wp.vec3d, device=b.device)
-        strains = strains.reshape((b.rod_count, count, b.node_count))
+        shape = (b.rod_count, count, b.node_count)
+        strains = wp.zeros(shape, dtype=wp.vec4d, device=b.device)
         out = wp.zeros((b.rod_count * count, b.dof_count), dtype=wp.float64, device=b.device)
         s = b.state
+        # The kernel's strain rate is a difference of strains over a step: here it is given, but for
+        # that of stretching, which markers do not show.
         strain_rate = wp.array(
-            np.pad(self.strain_rate.numpy(), ((0, 0), (0, 0), (0, 1))),
-            dtype=wp.vec4d,
-            device=b.device,
+            self.strain_rate.numpy() * [1.0, 1.0, 1.0, 0.0], dtype=wp.vec4d, device=b.device
         )
-        # The kernel's strain rate is a difference of strains over a step: here it is given.
         b.launch(
             motion_tangents.elastic_tangents,
             (b.rod_count, b.node_count - 1, 1),
@@ -306,11 +305,11 @@ class _Condensation:
         rate[:, i] = 0.0
         push = np.einsum("sid,sd->si", hessian[:, i], rate)
         rate[:, i] = -np.linalg.solve(hessian[:, i][:, :, i], push[..., None])[..., 0]
-        out = wp.zeros((b.rod_count, 1, b.node_count), dtype=wp.vec3d, device=b.device)
+        out = wp.zeros((b.rod_count, 1, b.node_count), dtype=wp.vec4d, device=b.device)
         s = b.state
         b.launch(
             observed_tangents.measure_strain_tangents,
-            (b.rod_count, b.node_count - 2, 1),
+            (b.rod_count, b.node_count - 1, 1),
             [b.every_rod, s.dof, s.director]
             + [wp.array(rate[:, None], dtype=wp.float64, device=b.device), 1],
             [out],

@@ -99,7 +99,7 @@ class Tangents:
         self.now, self.older, self.velocity, self.velocity_older = (zeros() for _ in range(4))
         self.step_held, self.x = zeros(), zeros()
         self.strain, self.strain_older, self.strain_new = (
-            wp.zeros((rods, P, nodes), dtype=wp.vec3d, device=device) for _ in range(3)
+            wp.zeros((rods, P, nodes), dtype=wp.vec4d, device=device) for _ in range(3)
         )
         markers = len(setup.marker_node) - 2
         self.seen = wp.zeros((rods, windows.held.shape[1], markers, P), wp.vec3d, device=device)
@@ -136,7 +136,7 @@ class Tangents:
         s = self.batch.state
         self._launch(
             observed_tangents.measure_strain_tangents,
-            (self.batch.node_count - 2, self.groups),
+            (self.batch.node_count - 1, self.groups),
             [accepted, s.dof, s.director, self.now, self.per_thread],
             [out],
         )
@@ -209,14 +209,6 @@ class Tangents:
             + [self.now, self.older, self.velocity, self.velocity_older, self.per_thread],
             [self.x],
         )  # fmt: skip
-        names = ("rest_length", "stretching", "viscous_time")
-        self._launch(
-            kernels.stretch_damping_tangents,
-            (batch.node_count - 1, self.groups),
-            [model[k] for k in names] + [self.model[k] for k in names]
-            + [pace, batch.state.dof, *history[:2], self.now, self.older, self.per_thread],
-            [self.x],
-        )  # fmt: skip
         past = [dynamics.viscosity.strain, dynamics.viscosity.strain_older]
         self._elastic(pace, *past)
         self._hold(pace, self.step_held)
@@ -237,7 +229,7 @@ class Tangents:
         self._strains(accepted, self.strain_new)
         self._launch(
             observed_tangents.shift_strain_tangents,
-            (batch.node_count - 2, self.groups),
+            (batch.node_count - 1, self.groups),
             [model["viscous_time"], self.model["viscous_time"], pace, batch.state.dof]
             + [batch.state.director, batch.state.reference_twist, *past]
             + [self.strain_new, self.per_thread],
