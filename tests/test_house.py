@@ -1,5 +1,6 @@
 """No room looks up, nothing goes in circles, and functions stay short (`tests/house.py`)."""
 
+import ast
 from pathlib import Path
 
 import house
@@ -31,6 +32,47 @@ def test_no_room_looks_up_and_no_files_go_in_circles(seen):
 def test_functions_are_short_outside_kernels(seen):
     assert seen.long == []
     assert len(seen.wide) <= WIDE, seen.wide
+
+
+def of_file(path):
+    """Names that a file defines or imports at its top."""
+    names = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            names.add(node.name)
+        elif isinstance(node, (ast.Import, ast.ImportFrom)):
+            names |= {a.asname or a.name for a in node.names}
+        else:
+            names |= {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
+    return names
+
+
+def test_what_is_taken_from_kernels_is_there():
+    """mypy looks into no kernels: a name that is gone would be found by who launches it."""
+    kernels = {
+        ".".join(["wrod", *file.relative_to(ROOT).with_suffix("").parts]): of_file(file)
+        for file in (ROOT / "kernels").rglob("*.py")
+    }
+    looked_at, gone = 0, []
+    for folder in ("wrod", "training", "kernels"):
+        for file in (ROOT / folder).rglob("*.py"):
+            nodes = list(ast.walk(ast.parse(file.read_text())))
+            own = {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+            own |= {n.arg for n in nodes if isinstance(n, ast.arg)}
+            taken, modules = [], {}
+            for node in nodes:
+                if isinstance(node, ast.ImportFrom) and node.module:
+                    for one in node.names:
+                        taken.append((node.module, one.name))
+                        modules[one.asname or one.name] = f"{node.module}.{one.name}"
+            for node in nodes:
+                of = node.value if isinstance(node, ast.Attribute) else None
+                if isinstance(of, ast.Name) and of.id not in own:
+                    taken.append((modules.get(of.id), node.attr))
+            taken = [(module, name) for module, name in taken if module in kernels]
+            looked_at += len(taken)
+            gone += [(file.name, *one) for one in taken if one[1] not in kernels[one[0]]]
+    assert looked_at > 500 and not gone
 
 
 def test_circles_and_long_functions_are_seen(tmp_path):
