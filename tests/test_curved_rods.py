@@ -243,7 +243,7 @@ def test_roll_of_a_laid_rod_is_kept_unless_it_rolls():
     after[:, 3::4] += 0.1
     import warp as wp
 
-    turned = wp.array(after, dtype=wp.float64)
+    turned = wp.array(after, dtype=wp.float64, device=batch.device)
     batch.derivatives.gradient.zero_()
     batch.derivatives.hessian.zero_()
     contact.add(batch.every_rod, turned, before)

@@ -34,7 +34,8 @@ def surface(shape, points):
     mesh = shape._mesh.id if isinstance(shape, solids.Mesh) else wp.uint64(0)
     n = len(points)
     out = [wp.zeros(n, dtype=t, device="cpu") for t in (wp.float64, wp.vec3d, wp.mat33d)]
-    inputs = [kind, wp.vec3d(*map(float, size)), mesh, wp.array(points, dtype=wp.vec3d)]
+    points = wp.array(points, dtype=wp.vec3d, device="cpu")
+    inputs = [kind, wp.vec3d(*map(float, size)), mesh, points]
     wp.launch(measure, n, inputs=inputs, outputs=out, device="cpu")
     return [a.numpy() for a in out]
 

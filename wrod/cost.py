@@ -109,10 +109,12 @@ def progress_bar(*arguments, **options):
 @cache
 def _say_that_kernels_are_compiled() -> None:
     """Where Warp has none of ours yet: a first run takes minutes where the next take seconds."""
-    warp, running = sys.modules.get("warp"), click.get_current_context(silent=True)
+    running = click.get_current_context(silent=True)
     itself = running is not None and running.info_name == "compile"
-    if warp is None or itself or asked("json"):
+    if "wrod.kernels" not in sys.modules or itself or asked("json"):
         return
+    import warp
+
     if any(Path(warp.config.kernel_cache_dir).glob("wp_wrod*")):
         return
     said = "wrod: kernels are compiled on the way, once on this machine, for up to two minutes"

@@ -177,7 +177,7 @@ def test_a_batch_is_what_its_arrays_are(layered):
             old = getattr(batch, name)
             values = old.numpy() + change
             if another:
-                setattr(batch, name, wp.array(values, dtype=old.dtype))
+                setattr(batch, name, wp.array(values, dtype=old.dtype, device=batch.device))
             else:
                 old.assign(values)
         assert solve_equilibria(batch).converged.all()
