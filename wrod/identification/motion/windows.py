@@ -71,11 +71,9 @@ def windows_of(
     time = clock[recording[:, None], index] - clock[recording, start + 1][:, None] + 1
     time[:, 0] = 0
     last = int(time.max())
+    whole = _true_time(m, clock, np.unique(recording))
     held, director = [], []
-    whole = {}
     for r, s in pairs:
-        if r not in whole:
-            whole[r] = _true_time(m, r, clock[r])
         a = np.minimum(clock[r, s + 1] - 1 + np.arange(last + 1), clock[r, -1])
         held.append(whole[r][0][a])
         director.append(whole[r][1][a])
@@ -114,22 +112,32 @@ def _smoothed(path: np.ndarray, noise: float) -> np.ndarray:
     return path
 
 
-def _true_time(m: MotionMeasurements, r: int, clock: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Held markers (K, 4, 3) and directors (K, 2, 3) at every frame duration of a recording."""
+def _true_time(
+    m: MotionMeasurements, clock: np.ndarray, recordings: np.ndarray
+) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Held markers (K, 4, 3) and directors (K, 2, 3) at every frame duration of each recording."""
+    held = [_held(m, r, clock[r]) for r in recordings]
+    longest = max(map(len, held))
+    # All of them side by side; the last frame of the shorter ones is repeated.
+    x = np.stack([np.pad(h, ((0, longest - len(h)), (0, 0), (0, 0)), mode="edge") for h in held])
+    tangent = x[:, :, [1, 3]] - x[:, :, [0, 2]]
+    tangent /= np.linalg.norm(tangent, axis=3, keepdims=True)
+    director = np.empty_like(tangent)
+    d, before = np.broadcast_to(m.bending_axis, tangent[:, 0].shape), tangent[:, 0]
+    for k in range(longest):
+        d = transport(d, before, tangent[:, k]) if k else d
+        before = tangent[:, k]
+        d = d - np.sum(d * before, axis=2, keepdims=True) * before
+        d /= np.linalg.norm(d, axis=2, keepdims=True)
+        director[:, k] = d
+    return {r: (h, d[: len(h)]) for r, h, d in zip(recordings, held, director, strict=True)}
+
+
+def _held(m: MotionMeasurements, r: int, clock: np.ndarray) -> np.ndarray:
+    """(K, 4, 3) held markers of a recording, smoothed, at every frame duration."""
     from scipy.interpolate import PchipInterpolator
 
     x = m.positions[r][:, [0, 1, -2, -1]]
-    times = np.arange(clock[-1] + 1)
-    held = x if clock[-1] == len(x) - 1 else PchipInterpolator(clock, x, axis=0)(times)
-    held = _smoothed(held, m.noise)
-    tangent = held[:, [1, 3]] - held[:, [0, 2]]
-    tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)
-    director = np.empty_like(tangent)
-    across = m.bending_axis
-    d = across - np.sum(across * tangent[0], axis=1, keepdims=True) * tangent[0]
-    director[0] = d / np.linalg.norm(d, axis=1, keepdims=True)
-    for k in range(1, len(times)):
-        d = transport(director[k - 1], tangent[k - 1], tangent[k])
-        d -= np.sum(d * tangent[k], axis=1, keepdims=True) * tangent[k]
-        director[k] = d / np.linalg.norm(d, axis=1, keepdims=True)
-    return held, director
+    if clock[-1] > len(x) - 1:
+        x = PchipInterpolator(clock, x, axis=0)(np.arange(clock[-1] + 1))
+    return _smoothed(x, m.noise)
