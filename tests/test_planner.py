@@ -239,6 +239,18 @@ def test_spin_turns_the_hand_evenly_about_the_rod_and_stays_in_the_tail():
         wrod.plan(pattern, replace(rod, natural_curvature=(0.0, 4.0)), "intuitive", spin=1.0)
 
 
+def test_a_tail_ends_before_its_grip_would_go_under_the_table():
+    from wrod.planning.tail import tail
+
+    pattern, rod = wrod.pattern("line"), replace(wrod.rod("green-vps"), length=0.6)
+    plain = wrod.plan(pattern, rod, "neural")
+    lower = replace(plain, position=plain.position - [0.0, 0.0, 0.008])
+    whole, cut = (tail(pattern, rod, path) for path in (plain, lower))
+    assert whole.position[:, 2].min() > 0.0
+    assert cut.position[:, 2].min() >= 0.0
+    assert 2 < len(cut.laid) < len(whole.laid)
+
+
 def test_what_hangs_of_a_spun_rod_is_twisted_as_much_as_the_hand_has_turned():
     laid = np.linspace(0.0, 0.6, 2001)
     twist = held_twist(0.8, laid, 5.0)

@@ -22,7 +22,8 @@ _STRAIGHTEN = 3.0
 
 @dataclass(frozen=True)
 class Tail:
-    """How the grip goes on after the pattern: straight ahead, until 1 L_gb is left.
+    """How the grip goes on after the pattern: straight ahead, until 1 L_gb is left or it would go
+    under the table.
 
     laid (T,) laid length [m], contact (T, 3), position (T, 3), rotation (T, 3, 3); the first entry
     is the trajectory's last pose. shape (T, nodes, 3) as `Trajectory.shape`, where asked for.
@@ -104,6 +105,8 @@ def tail(
     good = np.isfinite(position).all(axis=1)
     if poses.converged is not None:
         good &= poses.converged
+    # A rod that is bent down at rest may be held under the table, into which its grip would press.
+    good[np.logical_or.accumulate(good & (position[:, 2] < 0.0))] = False
     good[0] = False
     return Tail(
         np.concatenate([[start], start + s[good]]),
