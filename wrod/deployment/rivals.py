@@ -37,14 +37,20 @@ def expected_errors(
 ) -> np.ndarray:
     """(plan,) mean distance from the pattern [m] to be expected of plans, each with the pattern and
     remainder that it is of: the same four disturbed rods on coarse meshes, on a table of such a
-    friction or, where it is None, of 0.2 to 0.6; infinite where one diverged."""
-    courses = [
-        expecting(pattern, rod, [path], UNMEASURED if friction is None else friction, _TRIALS,
-                  coarse=True)
-        for pattern, path in rivals
-    ]  # fmt: skip
-    said = follow(courses, hold=hold, device=device or "auto")
-    return np.array([np.inf if one["diverged"] else one["mean"] for (one,) in said])
+    friction or, where it is None, of 0.2 to 0.6. A plan of which one diverges is laid again on the
+    finer meshes by which plans are judged; infinite where one diverges there, too."""
+    table = UNMEASURED if friction is None else friction
+    errors = np.full(len(rivals), np.inf)
+    for coarse in (True, False):
+        lost = np.flatnonzero(np.isinf(errors)).tolist()
+        courses = [
+            expecting(rivals[k][0], rod, [rivals[k][1]], table, _TRIALS, coarse=coarse)
+            for k in lost
+        ]
+        said = follow(courses, hold=hold, device=device or "auto")
+        for k, (one,) in zip(lost, said, strict=True):
+            errors[k] = np.inf if one["diverged"] else one["mean"]
+    return errors
 
 
 def own_or_straight(
