@@ -26,17 +26,18 @@ def _write(path: Path, names: str, rows) -> None:
 def write_tables(folder: Path) -> dict[str, dict]:
     """Every table of docs/how-to/own-measurements.md, in millimetres; the arrays that they are of.
 
-    The fourth marker of the second trial and one of the first take were not seen.
+    Trials and markers are counted from 1. The fourth marker of the second trial and one of the
+    first take were not seen.
     """
     clamped, motion = clamped_example(), motion_example()
     clamped["centerline"][1, 3] = np.nan
     motion["positions"][0, 7, 5] = np.nan
     seen = np.argwhere(np.isfinite(clamped["centerline"]).all(axis=2))
-    places = [(*i, *1e3 * clamped["centerline"][tuple(i)]) for i in seen]
+    places = [(*(i + 1), *1e3 * clamped["centerline"][tuple(i)]) for i in seen[::-1]]
     _write(folder / "markers.csv", "trial,marker,x,y,z", places)
     _write(folder / "places.csv", "# mm", 1e3 * clamped["arc_length"][:, None])
     poses = [
-        (k, end, *1e3 * at[k], *Rotation.from_matrix(turn[k]).as_quat())
+        (k + 1, end, *1e3 * at[k], *Rotation.from_matrix(turn[k]).as_quat())
         for end, (at, turn) in enumerate(
             (clamped[f"{name}_position"], clamped[f"{name}_rotation"]) for name in ("clamp", "grip")
         )

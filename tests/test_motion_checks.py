@@ -50,6 +50,15 @@ def test_what_no_grips_and_cameras_do_is_named(change, sentence):
         motion_from_arrays(recorded(swung_arcs()) | change)
 
 
+def test_a_rate_of_rounded_stamps_is_named():
+    """60 frames a second by stamps in whole milliseconds have differences of 17."""
+    time = np.tile(np.round(np.arange(FRAMES) / 60.0, 3), (RECORDINGS, 1))
+    data = recorded(swung_arcs()) | {"time": time}
+    with pytest.raises(DataError, match=r"rate_hz is 58.82, but .* 60.* frames a second"):
+        motion_from_arrays(data | {"rate_hz": 1.0 / 0.017})
+    assert motion_from_arrays(data | {"rate_hz": 60.0}).lost_frames == 0
+
+
 def test_time_stamps_tell_lost_frames():
     gap = motion_from_arrays(recorded(swung_arcs()) | stamped(0.05)).gap
     assert gap[2, 8] == 6 and gap.sum() == gap.size + 5

@@ -11,8 +11,8 @@ _LOST_RATIO = 1.6
 _LOST_MISFIT = 0.35
 _LOST_LEAST = 2e-3
 _MOST_LOST = 24
-# Part of a frame by which time stamps may be off.
-_UNEVEN = 0.3
+# Part of a frame by which time stamps may be off, and of the rate by which their mean may be.
+_UNEVEN, _DRIFT = 0.3, 0.01
 # Frames of one marker that are filled from so many seen ones on either side.
 _SHORT_GAP, _AROUND = 6, 6
 
@@ -66,7 +66,8 @@ def told_gaps(time: np.ndarray, rate: float, names, where: str) -> np.ndarray:
     """(R, T - 1) frame durations between recorded frames, from (R, T) time stamps [s].
 
     Raises:
-        DataError: a time is before the last one, not at a whole frame, or long after it.
+        DataError: a time is before the last one, not at a whole frame, or long after it; or they
+            have another rate.
     """
     step = np.diff(time, axis=1) * rate
     gap = np.rint(step).astype(int)
@@ -82,6 +83,12 @@ def told_gaps(time: np.ndarray, rate: float, names, where: str) -> np.ndarray:
             f"{where}: time of recording {names[r]} goes from {time[r, f]:g} s in frame {f} to "
             f"{time[r, f + 1]:g} s in the next, {step[r, f]:.3g} frames of rate_hz ({len(bad)} "
             f"such steps in all); {remedy}"
+        )
+    stamped = float(np.median(gap.sum(axis=1) / (time[:, -1] - time[:, 0])))
+    if abs(stamped / rate - 1.0) > _DRIFT:
+        raise DataError(
+            f"{where}: rate_hz is {rate:.4g}, but by its time there are {stamped:.4g} frames a "
+            f"second; give that (a difference of stamps that were rounded is no rate)"
         )
     return gap
 
