@@ -85,6 +85,44 @@ def test_loop_is_closed(tmp_path, controllers):
     assert found["network"]["held_out"]["mean_absolute_error"] < 0.01
 
 
+def test_a_rod_put_down_exactly_springs_as_far_as_friction_lets_it():
+    """The plan is chosen beside it: what is left of a bend whatever the grip did."""
+    from types import SimpleNamespace
+
+    from wrod.bench.loop_trials import _expected_best
+
+    line, rod = wrod.pattern("line"), wrod.rod("green-vps")
+    bent, hold = replace(rod, natural_curvature=(6.0, 0.0)), 0.05
+    path = wrod.plan(line, rod, "neural")
+
+    def springs(one, mu):
+        trial = wrod.Trial(line, one, path, wrod.Friction(mu))
+        chosen = _expected_best({("own", 0): trial}, one, SimpleNamespace(static=mu), hold)
+        (off,) = chosen.trajectory.metadata["put_down"].values()
+        return off
+
+    assert springs(rod, 0.1) < 0.01
+    held, slides = springs(bent, 5.0), springs(bent, 0.1)
+    assert held < 0.01 and slides > 0.1
+
+
+def test_the_report_says_what_lies_once_the_grip_lets_go_and_what_diverged():
+    from wrod.bench.loop_report import summary
+
+    def row(effect, plan, released, **more):
+        one = dict(effect=effect, controller="default", pattern="bend", plan=plan, diverged=False)
+        one |= dict(error_mean=0.5, released_error_mean=released, contact_friction=0.1, rivals={})
+        return one | more
+
+    chosen = dict(rivals={"own by 0 degrees": 0.6}, put_down={"0": 3.4}, diverged=True)
+    chosen |= dict(ended=7.25, let_go=9.5)
+    rows = [row("none", "old", 0.1), row("cable", "old", 5.8), row("cable", "new", 2.5, **chosen)]
+    text = "\n".join(summary(rows))
+    assert "5.80 cm by the old plan, 2.50 cm by the new one" in text
+    assert "put down exactly on the pattern and let go, by 0 degrees 3.4 cm." in text
+    assert "1 of 3 deployments diverged: bend (cable, default) by the new plan after 7.25 s" in text
+
+
 def test_a_roll_that_is_none_is_refused_before_the_work(tmp_path):
     out = tmp_path / "out"
     words = ["bench", "loop", "--effect", "stiffness", "--pattern", "line", "--out", str(out)]

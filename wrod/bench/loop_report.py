@@ -136,17 +136,30 @@ def summary(rows: list[dict]) -> list[str]:
     ]
     if worse:
         lines.append(f"Worse than before: {'; '.join(worse)}.")
-    for row in rows:
-        if row["rivals"]:
-            said = ", ".join(f"{name} {error:.1f} cm" for name, error in row["rivals"].items())
-            lines.append(
-                f"{row['pattern']} ({_title(row['effect'])}, {row['controller']}): what the found "
-                f"rod was expected to be laid by, from which the new plan was chosen: {said}."
-            )
-    lost = sum(row["diverged"] for row in rows)
+    for row in (row for row in rows if row["rivals"]):
+        said = ", ".join(f"{name} {error:.1f} cm" for name, error in row["rivals"].items())
+        down = ", ".join(f"{turn} degrees {e:.1f} cm" for turn, e in row["put_down"].items())
+        key = row["effect"], row["controller"], row["pattern"]
+        old, new = (cell[*key, plan]["released_error_mean"] for plan in ("old", "new"))
+        lines += [
+            f"{_who(row)}: what the found rod was expected to be laid by, from which the new plan "
+            f"was chosen: {said}.",
+            f"{_who(row)}: once the grip has let go {old:.2f} cm by the old plan, {new:.2f} cm by "
+            f"the new one; put down exactly on the pattern and let go, by {down}.",
+        ]
+    lost = [
+        f"{_who(row)} by the {row['plan']} plan after {row['ended']:.2f} s (the grip lets go after "
+        f"{row['let_go']:.2f} s)"
+        for row in rows
+        if row["diverged"]
+    ]
     if lost:
-        lines.append(f"{lost} of {len(rows)} deployments diverged.")
+        lines.append(f"{len(lost)} of {len(rows)} deployments diverged: {', '.join(lost)}.")
     return lines
+
+
+def _who(row: dict) -> str:
+    return f"{row['pattern']} ({_title(row['effect'])}, {row['controller']})"
 
 
 def mean_error(rows: list[dict], effect: str, controller: str, plan: str) -> float:

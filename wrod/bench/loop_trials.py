@@ -16,6 +16,8 @@ from wrod.rods.profile import Profile
 # does when nothing else is said.
 CONTROLLERS = ("network", "numeric", "default")
 EFFECTS = ("natural_curvature", "stiffness", "varied")
+# Edges of a rod that is put down exactly, per L_gb.
+_PUT_DOWN = 12.0
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,8 @@ def trials_along(
 
 
 def _expected_best(rivals: dict, model, law, hold: float):
-    """The trial that is expected to lay the rod best; its metadata say what was expected [cm]."""
+    """The trial that is expected to lay the rod best; its metadata say what was expected of each,
+    and where the rod lies that is put down exactly [cm]."""
     from wrod.deployment.rivals import expected_errors
 
     pairs = [(one.pattern, one.trajectory) for one in rivals.values()]
@@ -118,8 +121,30 @@ def _expected_best(rivals: dict, model, law, hold: float):
         f"{name} by {turn} degrees": 100.0 * float(error)
         for (name, turn), error in zip(rivals, errors, strict=True)
     }
-    path = best.trajectory
-    return replace(best, trajectory=replace(path, metadata={**path.metadata, "rivals": said}))
+    down = {turn: one for (name, turn), one in rivals.items() if name == "own"}
+    springs = dict(zip(map(str, down), _springs(list(down.values())), strict=True))
+    path, more = best.trajectory, {"rivals": said, "put_down": springs}
+    return replace(best, trajectory=replace(path, metadata={**path.metadata, **more}))
+
+
+def _springs(trials: list) -> list[float]:
+    """e_mean [cm] of rods that are put down exactly on their patterns, rolled as they are held, and
+    let go; infinite where one diverged."""
+    from wrod.bench.put_down import put_down
+    from wrod.deployment.result import deployment_error
+    from wrod.deployment.setup import Disturbance
+
+    jobs = [
+        (t.pattern, RodModel.of(t.rod).turned(t.trajectory.roll), t.friction, Disturbance())
+        for t in trials
+    ]
+    longest = max(t.pattern.length + t.pattern.remainder_length for t in trials)
+    nodes = int(np.ceil(_PUT_DOWN * longest / trials[0].rod.gravito_bending_length)) + 1
+    ends = put_down(jobs, node_count=nodes, step=0.02)
+    return [
+        np.inf if lost else 100.0 * deployment_error(t.pattern, s, place)[0]
+        for t, (s, place, lost, _) in zip(trials, ends, strict=True)
+    ]
 
 
 def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
@@ -133,6 +158,9 @@ def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
         "contact_friction": metadata["contact_friction"],
         "natural_share": trial.trajectory.natural_share,
         "rivals": metadata.get("rivals", {}),
+        "put_down": metadata.get("put_down", {}),
+        "ended": deployment.duration,
+        "let_go": deployment.let_go,
     }
 
 
