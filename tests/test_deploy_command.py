@@ -56,10 +56,15 @@ def test_a_plan_for_a_table_leaves_little_hanging_and_is_laid_so(tmp_path):
     assert near["rod"]["length"] == pytest.approx(0.15 + 4.0 * 0.018, abs=1e-6)
     assert any("0.078 m hang beyond the grip" in note for note in near["notes"])
     end = told("plan", *how, "--hold", "0.3", "--out", str(tmp_path / "end"), "--json")
-    assert end["beyond_grip"] == 0.0 and end["highest_grip"] > near["highest_grip"] + 0.05
+    assert end["beyond_grip"] == 0.0 and end["beyond"] is None
+    assert end["highest_grip"] > near["highest_grip"] + 0.05
     path = ["--trajectory", str(tmp_path / "near" / "trajectory.npz")]
     figures = told("deploy", *args, *path, "--out", str(tmp_path / "laid"), "--json")
     assert figures["trials"][0]["error_mean"] < 2e-3
+    assert figures["beyond_grip"] == near["beyond_grip"]
+    assert near["beyond"]["met"] is None and 0.06 < near["beyond"]["off_the_table"] < 0.078
+    assert 0.14 < near["beyond"]["on_the_table_from"] <= 0.15
+    assert any("comes down to the table" in note for note in near["notes"])
     other = run("deploy", *args[:-3], "0.31", *path, "--out", str(tmp_path / "other"))
     assert other.exit_code == 2 and "whose length is 0.222 m" in other.output
 

@@ -56,6 +56,7 @@ def command(
     figures = {
         "pattern": curve.name,
         "method": path.method,
+        "beyond_grip": path.beyond_grip,
         "friction": {
             "static": laying.friction,
             "kinetic": laying.kinetic or laying.friction,

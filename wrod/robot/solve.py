@@ -87,7 +87,8 @@ def solve_joint_path(
 
     Args:
         trajectory: grip poses [m]; the laid rod is as thick as its `rod`, or 4 mm in radius where
-            it does not say.
+            it does not say. What hangs beyond the grip is not avoided: where the arm may meet it
+            says `wrod.robot.beyond.met_beyond`.
         robot: "sawyer", a URDF file, or a `Robot` of `wrod.load_robot`, which is asked for another
             flange, gripper or limits.
         placement: "auto", or the pose of the trajectory's frame in the robot's base: a
