@@ -32,7 +32,8 @@ class Cell:
         self.pattern, self.gone = pattern, []
         self.rng = np.random.default_rng(0)
 
-    def go(self, loop):
+    def go(self, loop, pose=None):
+        """Through all poses ahead, or up to that one."""
         ahead = loop.ahead
         if len(loop.looks) < 2:  # all is begun anew after the first look
             self.gone, self.shift = [], self.shifted(ahead)
@@ -46,6 +47,8 @@ class Cell:
         for name in ("contact", "position"):
             joined[name] = turn.apply(joined[name] - [x, y, 0.0])
         joined["rotation"] = turn.as_matrix() @ joined["rotation"]
+        until = None if pose is None else pose + 1 - len(ahead) or None
+        joined = {name: value[:until] for name, value in joined.items()}
         path = replace(ahead, **joined, shape=None, twist=None)
         how = Disturbance(offset=(x + WRONG.offset[0], y + WRONG.offset[1]), yaw=yaw + WRONG.yaw)
         trial = wrod.Trial(self.pattern, ROD, path, wrod.Friction(0.6), how, Tail.none(path))
@@ -120,6 +123,28 @@ def test_pictures_that_are_none_of_this_rod_are_refused_and_change_nothing(bend,
     believed = loop.beliefs.account.mean
     assert np.isnan(loop.observe([]).misfit)  # nothing could be seen
     assert np.array_equal(loop.beliefs.account.mean, believed)
+
+
+def test_pictures_that_come_late_count_where_they_were_taken(bend, loop):
+    """As told by the pose of the grip then: half a second before, what hangs was elsewhere."""
+    cell = Cell(bend[0])
+    cell.go(loop)
+    loop.observe([cell.picture(loop.laid) for _ in range(3)], noise=2e-4)
+    pose = len(loop.ahead) - 5
+    cell.go(loop, pose)
+    at = np.arange(0.0, cell.lies.arc_length[-1] - 0.03, 0.01)
+    place = [np.interp(at, cell.lies.arc_length, c) for c in cell.lies.centerline.T]
+    place = np.stack(place, axis=1) + 2e-4 * cell.rng.standard_normal((len(at), 3))
+    right, late = (
+        copy.deepcopy(loop).observe([(at, place)], noise=2e-4, pose=told) for told in (pose, None)
+    )
+    # Taken for those of the grip that stands, they bend and turn all that is believed.
+    assert abs(right.natural_curvature) < 1.0 and abs(right.lgb_error) < 0.05
+    assert right.yaw == pytest.approx(0.01, abs=0.008)
+    assert late.natural_curvature < -4.0 and late.yaw < -0.01
+    for wrong in (-1, len(loop.ahead), 1.5):
+        with pytest.raises(DataError, match="of those ahead, where the grip was"):
+            loop.observe([(at, place)], pose=wrong)
 
 
 def test_points_that_are_none_of_the_rod_are_left_out(bend, loop):

@@ -163,13 +163,18 @@ class FeedbackLoop:
         return self.way.laid_at(self.gone)
 
     @property
+    def _first(self) -> int:
+        """Which pose of `path` is the first that is ahead."""
+        s = self.path.arc_length
+        return min(int(np.searchsorted(s, self._stood, side="right")), len(s) - 2)
+
+    @property
     def ahead(self) -> Trajectory | None:
         """Poses that the grip goes through until the next look, where the robot stands as it does;
         None: the deployment has ended."""
         if self.ended:
             return None
-        path, pattern = self.path, self.beliefs.pattern
-        first = min(int(np.searchsorted(path.arc_length, self._stood, side="right")), len(path) - 2)
+        path, pattern, first = self.path, self.beliefs.pattern, self._first
         x, y, yaw = self.beliefs.placed
         moved = Disturbance(offset=(float(x), float(y)), yaw=float(yaw))
         origin = pattern.sample(-pattern.remainder_length)[0][0]
@@ -192,6 +197,7 @@ class FeedbackLoop:
         *,
         noise: float = 0.5e-3,
         hanging: float = 1e-3,
+        pose: int | None = None,
     ) -> Look:
         """What is believed since a look, and `ahead` is for it.
 
@@ -203,14 +209,18 @@ class FeedbackLoop:
                 neighbours as no rod does. None at all: nothing could be seen.
             noise: standard deviation of each coordinate of what lies [m].
             hanging: of what hangs [m].
+            pose: of `ahead`, counted from 0, at which the grip was when they were taken, if they
+                come late and it has gone on since; None: it stands at the last one.
 
         Raises:
-            DataError: a picture is not of this rod, not finite, in other units, or was told before.
+            DataError: a picture is not of this rod, not finite, in other units, or was told before;
+                or there is no such pose ahead.
             RodError: the deployment has ended.
         """
         if self.ended:
             raise RodError("the deployment has ended; there is nothing to look at any more")
         length, seen, told = self.beliefs.rod.length, [], set(self._known)
+        taken = self.gone if pose is None else self._taken(pose)
         pairs = isinstance(pictures, list | tuple) and all(
             isinstance(one, list | tuple) and len(one) == 2 for one in pictures
         )
@@ -219,7 +229,9 @@ class FeedbackLoop:
                 f"pictures are {arguments.shown(pictures)}; give a list of (arc lengths, places)"
             )
         for k, (arc_length, place) in enumerate(pictures):
-            one = Seen.told(arc_length, place, self.laid, length, (noise, hanging), f"picture {k}")
+            one = Seen.told(
+                arc_length, place, self.way.laid_at(taken), length, (noise, hanging), f"picture {k}"
+            )
             digest = one.place.tobytes()
             if digest in told:
                 raise DataError(
@@ -227,20 +239,35 @@ class FeedbackLoop:
                 )
             told.add(digest)
             seen.append(one)
-        (look,) = follow([self.looked(seen, stray=_STRAY)], hold=self.beliefs.hold)
+        looked = self.looked(seen, stray=_STRAY, taken=taken)
+        (look,) = follow([looked], hold=self.beliefs.hold)
         self._known = told
         return look
+
+    def _taken(self, pose: int) -> float:
+        """Length [m of the way] that was gone at such a pose of `ahead`."""
+        ahead = self.path.arc_length[self._first :]
+        least = int(np.searchsorted(ahead, self.beliefs.hold))
+        wrong = arguments.whole(least, len(ahead) - 1)(pose)
+        if wrong is not None:
+            raise DataError(
+                f"pose is {arguments.shown(pose)}; it {wrong}, of those ahead, where the grip was"
+            )
+        return float(ahead[pose])
 
     def looked(
         self,
         pictures: list[Seen],
         tell: Callable[[Beliefs], None] | None = None,
         stray: float = np.inf,
+        taken: float | None = None,
     ) -> Course[Look]:
         """As `observe`; the beliefs may be told more by `tell`, and refuse what lies further than
-        `stray` [L_gb] from where they have it."""
-        beliefs, gone, at, path = self.beliefs, self.gone, self.laid, self.path
-        first = self.held
+        `stray` [L_gb] from where they have it; pictures were `taken` where so much of the way was
+        gone [m]."""
+        beliefs, gone, first = self.beliefs, self.gone, self.held
+        taken = gone if taken is None else taken
+        at, path = self.way.laid_at(taken), self.way.until(taken).path
         held: dict[str, Any] = {"release": gone + beliefs.hold} if first else {}
         began, misfit = process_time(), float("nan")
         beliefs.looking(self._patience)
@@ -270,7 +297,7 @@ class FeedbackLoop:
         else:
             aside = np.zeros(2)
             for one in pictures:
-                aside = self._beside.told(laid, at, one, gone)
+                aside = self._beside.told(laid, at, one, taken)
             doubt = sum(doubted(laid, beliefs.pattern, at, one, aside) for one in pictures)
             again = self._again and doubt > _BEYOND_NOISE and len(self._returns) < _MOST_TIMES
             now = Moment(beliefs, self.way, gone, aside, self._horizon, self._returns)
