@@ -246,8 +246,10 @@ class FeedbackLoop:
 
     def _taken(self, pose: int) -> float:
         """Length [m of the way] that was gone at such a pose of `ahead`."""
-        ahead = self.path.arc_length[self._first :]
-        least = int(np.searchsorted(ahead, self.beliefs.hold))
+        s, first = self.path.arc_length, self._first
+        # Deployments of less have hardly begun.
+        held = int(np.argmin(np.abs(s - self.beliefs.hold)))
+        ahead, least = s[first:], max(held + _LEAST_POSES - 1 - first, 0)
         wrong = arguments.whole(least, len(ahead) - 1)(pose)
         if wrong is not None:
             raise DataError(
