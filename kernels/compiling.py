@@ -18,7 +18,11 @@ COMPILERS = "wrod-compilers"
 
 @cache
 def _compilers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=COMPILERS)
+    # Each compiles Warp's headers first: more of them than usable cores only take time.
+    cores = (
+        os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
+    )
+    return ThreadPoolExecutor(len(cores), thread_name_prefix=COMPILERS)
 
 
 @cache
@@ -41,9 +45,9 @@ def compile_ahead(
     device: str, launches: Iterable[tuple[wp.Kernel | ModuleType, int]]
 ) -> list[Future]:
     """Begin to compile the modules of kernels, or Python modules with all their kernels, for their
-    block sizes, as far as that was not begun before."""
+    block sizes, as far as that was not begun before; in that order."""
     on_cpu = wp.get_device(device).is_cpu
-    wanted = {(_module(what), 1 if on_cpu else block) for what, block in launches}
+    wanted = dict.fromkeys((_module(what), 1 if on_cpu else block) for what, block in launches)
     return [_begun(device, module, block) for module, block in wanted]
 
 

@@ -33,6 +33,8 @@ from wrod.kernels.stepping.grip import spline
 from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})
+# Directions that a thread of a CPU carries at a time.
+PACK = 8
 
 
 @wp.func

@@ -161,21 +161,10 @@ def _compile_for_gpu(device: str) -> None:
 
 
 def _draw() -> None:
-    """Draw a scene, if all is there that it takes: Newton's kernels are compiled for it."""
-    import tempfile
+    """Draw next to nothing, if all is there that it takes: Newton's kernels are compiled for it."""
     from importlib.util import find_spec
-    from pathlib import Path
 
-    import wrod
-    from wrod.scene.export import export_usd
-    from wrod.scene.render import Renderer
+    if all(find_spec(name) for name in ("newton", "pxr")):
+        from wrod.scene.render import compile_pictures
 
-    if not all(find_spec(name) for name in ("newton", "pxr")):
-        return
-    rod, pattern = wrod.rod("green-vps"), wrod.pattern("line")
-    # A taut rod, for whose shape nothing has to be solved.
-    trajectory = wrod.plan(pattern, rod, "intuitive", spacing=0.02)
-    with tempfile.TemporaryDirectory() as folder:
-        scene = Path(folder) / "scene.usdc"
-        export_usd(scene, trajectory=trajectory, pattern=pattern, rod=rod)
-        Renderer(scene, size=(32, 24)).frame(0.0)
+        compile_pictures()

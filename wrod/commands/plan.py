@@ -122,14 +122,18 @@ class _GraspRequest:
         return None if self.friction_text is None else read_friction(self.friction_text)
 
     def begin(self, curve, rod, friction, device: str | None, count: int) -> None:
-        """Begin to compile what the rod solver needs, while the rest is planned, and say how long
-        it takes to correct the plan for its table: of a range of paces three are tried, and rods
-        that may roll take longer, as do long patterns and long rods, and `count` remainders."""
+        """Begin to compile what solver and simulator need, while the rest is planned, and say how
+        long it takes to correct the plan for its table: of a range of paces three are tried, and
+        rods that may roll take longer, as do long patterns, long rods and `count` remainders."""
         from wrod.grasps.levels import compile_grasps_ahead
         from wrod.rods.device import resolve_device
+        from wrod.solvers.compiling import compile_steps_ahead
 
         if self.shapes:
             compile_grasps_ahead(resolve_device(device))
+        if self.expects or self.corrects:
+            more = ("tangents",) if self.corrects else ()
+            compile_steps_ahead(resolve_device(device), "grip", *more)
         if friction is None or self.method in ("distilled", "intuitive"):  # corrected at once
             return
         from wrod.deployment.effort import corrected

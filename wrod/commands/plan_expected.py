@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Event
 
 from wrod import cost
@@ -45,6 +45,10 @@ def expecting(
         yield lambda: False
         return
     from wrod.solvers.recording import workers
+
+    # SciPy asks a torch that another thread is loading for what it does not have yet.
+    with suppress(ImportError):
+        import torch  # noqa: F401
 
     unwanted = Event()
 

@@ -13,9 +13,6 @@ from wrod.rods.batch import RodBatch
 from wrod.solvers.contact import Contact
 from wrod.solvers.newton_steps import NewtonSteps
 
-# Directions that a thread of a CPU carries at a time.
-_PACK = 8
-
 
 class Tangents:
     """Tangents of a batch of deployments (a `wrod.solvers.newton_steps.Follower`).
@@ -50,7 +47,7 @@ class Tangents:
         self.order = np.lexsort((late, begin.min(axis=0)))
         self.early_count = int(np.sum(~late))
         self.first_late = float(begin[:, late].min(initial=np.inf))
-        size = _PACK if wp.get_device(device).is_cpu else 1
+        size = kernels.PACK if wp.get_device(device).is_cpu else 1
         self.size, packs = size, -(-self.count // size)
         vector = kernels.vector_of(size)
 

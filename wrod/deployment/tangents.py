@@ -24,6 +24,7 @@ from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import in_principal
 from wrod.rods.model import RodModel
 from wrod.rods.rotation import left_jacobian
+from wrod.solvers.compiling import compile_steps
 from wrod.solvers.friction import FrictionField
 from wrod.solvers.recording import launching
 
@@ -144,6 +145,7 @@ def lay(
     device = resolve_device(device)
     if directions is not None:
         _check(trials, directions, discretisation.scheme)
+    compile_steps(device, "grip", *([] if directions is None else ["tangents"]))
     if displacements is None:
         displacements = [np.zeros((len(trial.trajectory), 6)) for trial in trials]
     released = release if isinstance(release, Sequence) else [release] * len(trials)

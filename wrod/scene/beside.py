@@ -92,8 +92,9 @@ def _paint() -> None:
     from PIL import Image  # noqa: F401
 
     from wrod.scene import newton_model  # noqa: F401
-    from wrod.scene.render import four_moments, write_png
+    from wrod.scene.render import compile_pictures, four_moments, write_png
 
+    compile_pictures()
     scene = os.fsdecode(sys.stdin.buffer.read())
     if scene:
         file = io.BytesIO()

@@ -67,7 +67,7 @@ class NewtonScene:
         builder = newton.ModelBuilder()
         for part in self._parts:
             self._add(builder, part)
-        self.model = builder.finalize()
+        self.model = builder.finalize(skip_validation_inertia=True)  # nothing weighs
         self.state = self.model.state()
         self._poses = self.state.body_q.numpy() if self.model.body_count else np.zeros((0, 7))
         self._scales = self.model.shape_scale.numpy()

@@ -1,17 +1,20 @@
-"""What time steps launch on a GPU, compiled side by side before the first of them.
+"""What time steps launch, compiled side by side before the first of them.
 
-Modules that are not listed are compiled when they are launched first, one after the other.
+Modules that are not listed are compiled when they are launched first, one after the other; of
+threads that launch them first at the same time, by each.
 """
 
+from concurrent.futures import Future
 from functools import cache
 from importlib import import_module
 from types import ModuleType
 
 import warp as wp
 
-from wrod.kernels.compiling import compile_together
+from wrod.kernels.compiling import compile_ahead
 from wrod.kernels.lanes import TEAM, WARP
 from wrod.kernels.linear.two_warps import ENDS
+from wrod.kernels.stepping import deployment_tangents
 
 _WIDE = 256  # Warp's own
 # Modules of `wrod.kernels`, by what launches them and the size of its blocks; a kernel after a
@@ -78,22 +81,46 @@ _MORE: dict[str, dict[int, tuple[str, ...]]] = {
 }
 
 
+# What a CPU launches where a GPU shares a rod out to lanes; and for derivatives of deployments.
+_ON_CPU = {"linear.banded_ends": "linear.banded"}
+_TANGENTS = (
+    "stepping.deployment_tangents",
+    "stepping.flow_tangents",
+    "contact.linearised",
+    "linear.banded_lu",
+)
+
+
 @cache
 def compile_steps(device: str, *more: str) -> None:
-    """Compile, on a GPU, what time steps launch.
+    """Compile what time steps launch.
 
     Args:
-        device: where.
+        device: where; on a CPU what lays rods alone, which threads do: for one it is no gain.
         more: and what else does: a "grip" that lays rods or "hands" that tie them, "pairs" of rods
             that touch, "solids", the exchange with a "simulator", and its "bodies"; "gradients of"
-            these; default: all but gradients.
+            these; on a CPU "tangents" of deployments; default: all but gradients and tangents.
     """
-    if wp.get_device(device).is_cpu:
-        return
+    for compiled in compile_steps_ahead(device, *more):
+        compiled.result()
+
+
+def compile_steps_ahead(device: str, *more: str) -> list[Future]:
+    """Begin to compile it, while something else is done."""
     more = more or tuple(name for name in _MORE if not name.startswith("gradients"))
-    tables = (_STEPS, *(_MORE[name] for name in more))
-    names = {(name, block) for table in tables for block, row in table.items() for name in row}
-    compile_together(device, [(_found(name), block) for name, block in names])
+    tables = (_STEPS, *(_MORE[name] for name in more if name in _MORE))
+    names = {
+        (name, block): None for table in tables for block, row in table.items() for name in row
+    }
+    if wp.get_device(device).is_cpu:
+        if "grip" not in more:
+            return []
+        tangents = _TANGENTS if "tangents" in more else ()
+        if tangents:
+            deployment_tangents.vector_of(deployment_tangents.PACK)
+        whole = [_ON_CPU.get(name, name) for name, _ in names] + [*tangents]
+        names = {(name, 1): None for name in whole}
+    return compile_ahead(device, [(_found(name), block) for name, block in names])
 
 
 def _found(name: str) -> wp.Kernel | ModuleType:
