@@ -14,7 +14,20 @@ CLOSURE = click.option(
     show_default=True,
     help="zero_tension, min_force or min_friction.",
 )
-DEVICE = click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+
+
+def _there(context: click.Context, option: click.Parameter, device: str) -> str:
+    """Refuse a device that this machine has not, before anything else is loaded."""
+    if device not in ("auto", "cpu"):
+        from wrod.rods.device import resolve_device
+
+        resolve_device(device)
+    return device
+
+
+DEVICE = click.option(
+    "--device", default="auto", show_default=True, callback=_there, help="cpu, cuda:0 or auto."
+)
 ROLL = (
     "How a naturally curved rod is held: plane (curved in the table's plane), up (curved upwards), "
     "tilted (30 degrees up from the plane), or the roll of its first director from left to up "

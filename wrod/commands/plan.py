@@ -84,8 +84,8 @@ class _GraspRequest:
         show_default=False,
     )
 
-    def read(self) -> dict:
-        """What `solve_grasps_of` takes, but for roll and friction.
+    def read(self, rod) -> dict:
+        """What `solve_grasps_of` takes, but for friction, of this rod.
 
         Raises:
             RodError, DataError: an option that does nothing, or a controller that is none.
@@ -98,6 +98,14 @@ class _GraspRequest:
             refuse_idle_options(f"--method {self.method}", "controller")
         if self.friction_text is None:
             refuse_idle_options("a plan without --friction", "pace")
+        from wrod.planning.roll import read_roll
+        from wrod.planning.sources import check_method
+
+        check_method(self.method, self.friction_text, self.pace)
+        if self.closure is not None:
+            from wrod.grasps.inputs import closure_number
+
+            closure_number(self.closure)
         file = self.controller_file
         return {
             "method": self.method,
@@ -105,6 +113,7 @@ class _GraspRequest:
             "spacing": self.spacing,
             "remainder": self.remainder,
             "shapes": self.shapes,
+            "roll": read_roll(self.roll_text, rod),
             "spin": math.radians(self.spin),
             "controller": None if file is None else Controller.load(file),
             "pace": None
@@ -139,7 +148,7 @@ class _GraspRequest:
         from wrod.deployment.effort import corrected
 
         where = resolve_device(device)
-        seconds = corrected(curve, rod, friction, pace=self.read()["pace"], device=where)
+        seconds = corrected(curve, rod, friction, pace=self.read(rod)["pace"], device=where)
         # Two rods are laid at a time, of which a core has one.
         seconds /= min(usable_cores(), 2) if where == "cpu" else 1
         work = cost.Cost(seconds * count * (2 if self.spin else 1))
@@ -185,14 +194,14 @@ def command(
     Corners are rounded to what the rod can lie in. What is finished is kept: without a joint path
     the trajectory and its picture are written all the same, and the exit code is 3.
     """
-    friction, how, chosen = grasps.friction(), grasps.read(), None if device == "auto" else device
+    friction, chosen = grasps.friction(), None if device == "auto" else device
     request = request.check()
     draw_beside(not request.no_robot)
     rod, drawn = rod_options.read(), reading.read(pattern)
+    how = grasps.read(rod)
     # What takes a second to import, once nothing is left to refuse.
     from wrod.deployment.simulate import with_remainder_of
     from wrod.planning.remainder import lead_ins, prepare
-    from wrod.planning.roll import read_roll
 
     def planned(wanted: Shaping, friction=None, led=None, spin=None, tried=False):
         """Pattern, rod and trajectory of a shaping; `led` is the remainder, `spin` [degrees], where
@@ -212,10 +221,8 @@ def command(
         count = len(lead_ins(fitted.pattern, fitted.rod)) if remainder is None else 1
         grasps.begin(curve, fitted.rod, friction, chosen, count)
         turned = how["spin"] if spin is None else math.radians(spin)
-        trajectory = solve_grasps_of(
-            fitted, roll=read_roll(grasps.roll_text, fitted.rod),
-            device=chosen, friction=friction, **{**how, "remainder": remainder, "spin": turned},
-        )  # fmt: skip
+        asked = {**how, "remainder": remainder, "spin": turned}
+        trajectory = solve_grasps_of(fitted, device=chosen, friction=friction, **asked)
         return fitted, with_remainder_of(fitted.pattern, trajectory), trajectory
 
     how["pace"] = within_speed(request, how["pace"], lambda: planned(shaping))

@@ -12,16 +12,13 @@ from wrod.errors import GraspError, PatternError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.plan import plan_grasps
 from wrod.planning.remainder import lead_ins, prepare
-from wrod.planning.sources import SOURCES
+from wrod.planning.sources import DISTILLED, check_method
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
 if TYPE_CHECKING:
     from wrod.controller.controller import Controller
-
-# The method that asks a network for what `friction` otherwise optimises.
-DISTILLED = "distilled"
 
 
 @arguments.checked(
@@ -110,7 +107,7 @@ def plan(
         WrodWarning: some grasps are of a rod closer to straight.
         OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
-    _check_method(method, friction, pace)
+    check_method(method, friction, pace)
     how: dict[str, Any] = dict(
         closure=closure, spacing=spacing, roll=roll, spin=spin, controller=controller,
         device=device, progress=progress,
@@ -120,22 +117,6 @@ def plan(
     chosen = remainder is None and friction is not None and method != DISTILLED
     led = lead_ins(pattern, rod) if chosen else [prepare(pattern, rod, remainder)]
     return _for_a_table(led, rod, method, friction, pace, expect, how)
-
-
-def _check_method(method: str, friction, pace) -> None:
-    if method not in (*SOURCES, DISTILLED):
-        names = ", ".join((*SOURCES, DISTILLED))
-        raise GraspError(f"unknown method {method!r}; use one of {names}")
-    if method == DISTILLED and friction is None:
-        raise GraspError(f"method {DISTILLED!r} corrects a plan for a table; say its friction")
-    if pace is not None and (friction is None or method == DISTILLED):
-        raise GraspError(
-            "pace is what a plan is optimised for on a table; leave it out, or optimise"
-        )
-    if method == "intuitive" and friction is not None:
-        raise GraspError(
-            "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
-        )
 
 
 def _for_a_table(

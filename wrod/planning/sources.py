@@ -276,3 +276,26 @@ SOURCES: dict[str, Callable[[GraspInputs], Grasps]] = {
     "numeric": _numeric,
     "intuitive": _intuitive,
 }
+# The method that asks a network for what `friction` of `wrod.plan` otherwise optimises.
+DISTILLED = "distilled"
+
+
+def check_method(method: str, friction, pace) -> None:
+    """Refuse what is no method of a plan for a table of that friction, if any.
+
+    Raises:
+        GraspError: it is unknown, or friction or pace do not go with it.
+    """
+    if method not in (*SOURCES, DISTILLED):
+        names = ", ".join((*SOURCES, DISTILLED))
+        raise GraspError(f"unknown method {method!r}; use one of {names}")
+    if method == DISTILLED and friction is None:
+        raise GraspError(f"method {DISTILLED!r} corrects a plan for a table; say its friction")
+    if pace is not None and (friction is None or method == DISTILLED):
+        raise GraspError(
+            "pace is what a plan is optimised for on a table; leave it out, or optimise"
+        )
+    if method == "intuitive" and friction is not None:
+        raise GraspError(
+            "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
+        )
