@@ -182,7 +182,7 @@ def test_too_few_plans_are_refused(tmp_path):
 
 def test_a_distilled_plan_bends_further_where_it_slides_and_refuses_what_it_does_not_know():
     pattern, rod = wrod.pattern("letter-U"), wrod.rod("green-vps")
-    base = wrod.plan(pattern, rod, spacing=0.01)
+    base = wrod.plan(pattern, rod, spacing=0.01, left=True)
     one = wrod.plan(pattern, rod, "distilled", spacing=0.01, friction=0.3)
     moved = np.linalg.norm(one.position - base.position, axis=1)
     said = one.metadata["distilled"]

@@ -11,6 +11,7 @@ from wrod.errors import (
     GraspError,
     OutOfRangeWarning,
     PatternError,
+    RodError,
     StabilityWarning,
     WrodWarning,
 )
@@ -249,6 +250,33 @@ def test_a_tail_ends_before_its_grip_would_go_under_the_table():
     assert whole.position[:, 2].min() > 0.0
     assert cut.position[:, 2].min() >= 0.0
     assert 2 < len(cut.laid) < len(whole.laid)
+
+
+def test_a_plan_for_a_table_holds_the_rod_nearer_whoever_lays_it(tmp_path):
+    """The whole rod and one that ends at the grip are laid alike, from a file, too."""
+    rod = wrod.RodMaterial(0.0016, 0.018, 0.3)
+    points = np.column_stack([np.linspace(0.0, 0.12, 20), np.zeros(20)])
+    pattern, how = (
+        wrod.Pattern.from_points(points),
+        dict(method="distilled", friction=0.3, spacing=0.01),
+    )
+    path = wrod.plan(pattern, rod, **how)
+    held = 0.12 + 4.0 * 0.018
+    assert path.rod.length == pytest.approx(held) and path.beyond_grip == pytest.approx(0.3 - held)
+    path = Trajectory.load(path.save(tmp_path / "plan")[1])
+    laid = [
+        wrod.simulate_deployment(pattern, replace(rod, length=length), path, 0.3, speed=0.04)
+        for length in (0.3, path.rod.length)
+    ]
+    np.testing.assert_array_equal(laid[0].released_centerline, laid[1].released_centerline)
+    with pytest.raises(RodError, match="whose length is"):
+        wrod.simulate_deployment(pattern, replace(rod, length=0.29), path)
+    far, near = wrod.plan(pattern, rod, left=False, **how), wrod.plan(pattern, rod, left=6)
+    assert far.beyond_grip == 0.0 and far.rod.length == 0.3
+    assert near.beyond_grip == pytest.approx(0.3 - 0.12 - 6.0 * 0.018)
+    assert wrod.plan(pattern, rod).beyond_grip == 0.0
+    with pytest.raises(GraspError, match="left"):
+        wrod.plan(pattern, rod, left=0.5)
 
 
 def test_what_hangs_of_a_spun_rod_is_twisted_as_much_as_the_hand_has_turned():

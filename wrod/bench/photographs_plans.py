@@ -96,7 +96,7 @@ def _lay(key: tuple, photograph: LaidPhotograph, scenario: Scenario, name: str) 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             # The rod is held as it was in the photographs: its own side to the left.
-            path = plan(photograph.pattern, rod, roll=0.0, friction=friction)
+            path = plan(photograph.pattern, rod, roll=0.0, friction=friction, left=False)
             law = Friction(scenario.friction)
             trial = Trial(photograph.pattern, laid, path, law, another_rod=True)
             (one,) = simulate_deployments([trial])

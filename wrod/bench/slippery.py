@@ -250,7 +250,7 @@ class Shelf:
         # One after the other: a CPU is faster than a GPU.
         ways: dict[str, dict[str, Any]] = {
             "intuitive": {"method": "intuitive"},
-            "distilled": {"method": "distilled", "friction": friction},
+            "distilled": {"method": "distilled", "friction": friction, "left": False},
         }
         how = ways.get(method, {"method": "numeric", "closure": method})
         made = plan(led, material, spacing=_PLAN_SPACING, remainder=False, device="cpu", **how)

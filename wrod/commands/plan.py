@@ -217,13 +217,13 @@ def command(
                 said = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
                 raise PatternError(f"{error}; {said}") from None
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
-        fitted = fitted.near(curve) if grasps.corrects and wanted.hold is None else fitted
         count = len(lead_ins(fitted.pattern, fitted.rod)) if remainder is None else 1
         grasps.begin(curve, fitted.rod, friction, chosen, count)
         turned = how["spin"] if spin is None else math.radians(spin)
         asked = {**how, "remainder": remainder, "spin": turned}
+        asked["left"] = grasps.corrects and wanted.hold is None
         trajectory = solve_grasps_of(fitted, device=chosen, friction=friction, **asked)
-        return fitted, with_remainder_of(fitted.pattern, trajectory), trajectory
+        return fitted.held_by(trajectory), with_remainder_of(fitted.pattern, trajectory), trajectory
 
     how["pace"] = within_speed(request, how["pace"], lambda: planned(shaping))
     fitted, curve, trajectory = planned(shaping, friction)
@@ -268,6 +268,7 @@ def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[P
     return {
         **trajectory.metadata,
         **fitted.figures,
+        "beyond_grip": trajectory.beyond_grip,
         "nodes": len(trajectory),
         "laid_length": float(trajectory.arc_length[-1]),
         "roll": float(trajectory.roll),

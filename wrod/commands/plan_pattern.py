@@ -7,6 +7,7 @@ from wrod.options import option
 
 if TYPE_CHECKING:  # `wrod --help` lists this command, and needs no rods
     from wrod.patterns.pattern import Pattern
+    from wrod.planning.trajectory import Trajectory
     from wrod.rods.material import RodMaterial
     from wrod.rods.model import RodModel
 
@@ -38,11 +39,11 @@ class Prepared:
     notes: tuple[str, ...]
     figures: dict
 
-    def near(self, curve: "Pattern") -> "Prepared":
-        """The same with the rod held as near as the curve with its remainder allows."""
-        from wrod.planning.hold import held_near
+    def held_by(self, trajectory: "Trajectory") -> "Prepared":
+        """The same with the rod as a plan of it holds it."""
+        from wrod.planning.hold import as_held
 
-        rod, whole = held_near(curve, self.rod), self.rod.length
+        rod, whole = as_held(trajectory, self.rod), self.rod.length
         if rod is self.rod:
             return self
         note = (
@@ -50,8 +51,7 @@ class Prepared:
             f"what nobody knows (at its other end: --hold {whole:g}); {whole - rod.length:.3f} m "
             "hang beyond the grip: keep them off what lies, or cut them off"
         )
-        figures = {**self.figures, "beyond_grip": whole - rod.length}
-        return replace(self, rod=rod, notes=(*self.notes, note), figures=figures)
+        return replace(self, rod=rod, notes=(*self.notes, note))
 
 
 def fit(curve, rod, shaping: Shaping) -> Prepared:

@@ -33,8 +33,8 @@ def solve_grasps_of(
             bar.n = 0
             curve = with_remainder_of(fitted.pattern, trajectory)
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
-    trajectory.metadata["beyond_grip"] = fitted.figures.get("beyond_grip", 0.0)
-    return trajectory
+    beyond = fitted.figures.get("beyond_grip")
+    return trajectory if beyond is None else replace(trajectory, beyond_grip=beyond)
 
 
 def softened(curve, rod, trajectory, start, how, friction, device):

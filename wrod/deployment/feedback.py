@@ -24,6 +24,7 @@ from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Laid
 from wrod.deployment.together import Asked, Course, follow
 from wrod.errors import RodError
+from wrod.planning.hold import as_held
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.records import checked_fields
@@ -102,6 +103,7 @@ def lay_with_feedback(
     Raises:
         RodError: an argument is not usable, or the loop has begun.
     """
+    plant = replace(plant, rod=as_held(loop.path, plant.rod))
     refuse_another_rod(loop.path, plant.rod, ("length", "radius"))
     course = following(loop, plant, sight=sight, known=known, **options)
     return follow([course], hold=loop.beliefs.hold, device=device)[0]

@@ -24,6 +24,7 @@ from wrod.deployment.together import Course, follow
 from wrod.deployment.way import Way
 from wrod.errors import DataError, RodError
 from wrod.patterns.pattern import Pattern
+from wrod.planning.hold import as_held
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.solvers.friction import Friction
@@ -136,6 +137,7 @@ class FeedbackLoop:
     ):
         refuse_other_plans(Trial(pattern, rod, trajectory, Friction(friction)))
         pattern = with_remainder_of(pattern, trajectory)
+        rod = as_held(trajectory, rod)
         self.beliefs, self.looks = Beliefs(pattern, rod, friction, hold), list[Look]()
         self.way = Way(trajectory).followed_by_tail(pattern, hidden)
         s = trajectory.arc_length

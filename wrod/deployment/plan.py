@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import GraspError, PatternError
 from wrod.patterns.pattern import Pattern
+from wrod.planning.hold import LEFT, held_near
 from wrod.planning.plan import plan_grasps
 from wrod.planning.remainder import lead_ins, prepare
 from wrod.planning.sources import DISTILLED, check_method
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
         arguments.either(arguments.number(0.0, 100.0), arguments.array((2,)))
     ),
     pace=arguments.optional(arguments.either(arguments.number(5e-4, 10.0), arguments.array((2,)))),
+    left=arguments.optional(arguments.either(arguments.flag, arguments.number(1.0, 1e3))),
 )
 def plan(
     pattern: Pattern,
@@ -50,6 +53,7 @@ def plan(
     controller: Controller | None = None,
     friction: float | tuple[float, float] | None = None,
     pace: float | tuple[float, float] | None = None,
+    left: bool | float | None = None,
     expect: bool = False,
     device: str | None = None,
     progress: Callable[[int, int], object] | None = None,
@@ -58,8 +62,7 @@ def plan(
 
     Args:
         pattern: where the rod is to lie.
-        rod: what is laid, as far as the grip (`wrod.planning.hold.held_near`): a `RodMaterial`, or
-            a `RodModel` whose properties vary along it; its grasps are of the piece that hangs.
+        rod: what is laid; grasps of a `RodModel` that varies are of the piece that hangs.
         method: "neural" (optimal grasps from the trained controller; of a naturally curved rod
             without a controller of its own, from the rod solver), "numeric" (from the rod solver),
             "auto" (neural where the controller was trained, numeric elsewhere) or "intuitive"
@@ -79,26 +82,28 @@ def plan(
         spin: by how much the hand turns besides about a rod without sides, which twists it [rad].
             With `friction`, grasps know the twist as far as the table is expected to hold it.
         controller: what "neural" and "auto" ask; None is the one that ships, for straight rods.
-        friction: of the table, a coefficient (taken to be known to a tenth) or a range: the path
-            is corrected through simulated deployments until what stays lies on the pattern
-            (docs/deployment.md; a minute or two). None: the grasps as they are.
+        friction: of the table, a coefficient (known to a tenth) or a range: the path is corrected
+            until what stays lies on the pattern (docs/deployment.md; a minute). None: as it is.
         pace: of the contact on that table [m/s], 0.04 by default; of a range the fastest harmless.
+        left: what hangs from where the grip holds the rod when the pattern is laid [L_gb], at
+            least 1; the rest is `Trajectory.beyond_grip`. True is 4, by which rods of unknown
+            stretch lie best; False: held at the end. None: True with `friction`, or else False.
         expect: also lay the finished plan in simulation, on tables of `friction` or, where it is
             not said, of 0.2 to 0.6 (seconds), for its `expected`.
-        device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice; progress:
-            called with the nodes done since the last call and the number of all nodes.
+        device: where the solver runs: "cpu", "cuda:0" or None for its choice; progress: called with
+            the nodes done since the last call and the number of all nodes.
 
     Returns:
         One pose per contact node; `metadata` names method, closure, solver, rod, pattern,
         remainder, the friction that the laid pattern ("required_friction") and the rod where it
         touches down ("contact_friction") ask for, and the warnings given; with `friction`,
-        "distilled", or "optimised" and "expected" (`wrod.deployment.optimise`); with `expect`,
-        "expected" (`wrod.deployment.expectation.expect`). "natural_share" is the smallest share
+        "distilled", or "optimised" and "expected" (`optimise`); with `expect`, "expected"
+        (`wrod.deployment.expectation.expect`). "natural_share" is the smallest share
         of its natural curvature that a grasp of a varying rod was made with (`grasps.relaxed`).
 
     Raises:
-        PatternError: less than 1 L_gb of the rod is left suspended, it is bent tighter than its
-            radius or than grasps are solved for, or spacing is not positive.
+        PatternError: less than 1 L_gb is left suspended, or it is bent tighter than its radius or
+            than grasps are solved for.
         GraspError: unknown method, friction for the intuitive one, a grasp that did not converge
             (names node and inputs), or a controller that was made for another rod.
 
@@ -108,24 +113,34 @@ def plan(
         OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
     check_method(method, friction, pace)
+    rod, beyond = _held(pattern, rod, remainder, friction is not None if left is None else left)
     how: dict[str, Any] = dict(
         closure=closure, spacing=spacing, roll=roll, spin=spin, controller=controller,
         device=device, progress=progress,
     )  # fmt: skip
-    if friction is None and not expect:
-        return plan_grasps(pattern, rod, method, remainder=remainder, **how)
-    chosen = remainder is None and friction is not None and method != DISTILLED
-    led = lead_ins(pattern, rod) if chosen else [prepare(pattern, rod, remainder)]
-    return _for_a_table(led, rod, method, friction, pace, expect, how)
+    made = _planned(pattern, rod, method, remainder, friction, pace, expect, how)
+    return replace(made, beyond_grip=beyond) if beyond else made
 
 
-def _for_a_table(
-    led: list[Pattern], rod, method: str, friction, pace, expect: bool, how: dict[str, Any]
+def _held(pattern: Pattern, rod, remainder, left: bool | float):
+    """The rod as far as the grip, and what is beyond [m]."""
+    if left is False:
+        return rod, 0.0
+    near = held_near(prepare(pattern, rod, remainder), rod, LEFT if left is True else left)
+    return near, rod.length - near.length
+
+
+def _planned(
+    pattern: Pattern, rod, method: str, remainder, friction, pace, expect: bool, how: dict[str, Any]
 ) -> Trajectory:
     """The plan that `how` asks for, corrected for a table of such a friction, of the pattern with
     the best of its remainders, and what is expected of it where that is asked for."""
+    if friction is None and not expect:
+        return plan_grasps(pattern, rod, method, remainder=remainder, **how)
     from wrod.deployment.rivals import own_or_straight
 
+    chosen = remainder is None and friction is not None and method != DISTILLED
+    led = lead_ins(pattern, rod) if chosen else [prepare(pattern, rod, remainder)]
     if friction is None:
         trajectory = own_or_straight(led[0], rod, method, None, how)
     else:

@@ -7,6 +7,7 @@ from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.setup import Disturbance
 from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
+from wrod.planning.hold import as_held
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.records import checked_fields
@@ -27,6 +28,8 @@ class Trial:
     """One deployment to simulate; see `simulate_deployment`.
 
     Attributes:
+        rod: what is laid; of a whole one that the trajectory holds nearer than at its end, kept as
+            far as the grip.
         another_rod: `rod` has another length or radius than that of the plan, on purpose.
     """
 
@@ -38,3 +41,6 @@ class Trial:
     tail: Tail | None = None
     fixtures: Fixtures | None = None
     another_rod: bool = False
+
+    def __post_init__(self):
+        object.__setattr__(self, "rod", as_held(self.trajectory, self.rod))

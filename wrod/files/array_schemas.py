@@ -116,6 +116,9 @@ ARRAYS = {
             "shape": _place("T", "N", 3, needed=False, gaps=True),
             "twist": Field(("T",), "rad", -1e3, 1e3, needed=False),
             "roll": Field((), "rad", -1e6, 1e6, needed=False),
+            "beyond_grip": Field(
+                (), "m", 0.0, 1e6, needed=False, about="rod that hangs beyond the grip"
+            ),
         },
         format="wrod-trajectory-1",
         least={"T": 2},

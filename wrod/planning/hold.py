@@ -35,10 +35,10 @@ def held_near(pattern: Pattern, rod: RodModel | RodMaterial, left: float = LEFT)
 
 
 def as_held(trajectory: Trajectory, rod: RodModel | RodMaterial):
-    """The rod as a trajectory holds it, where that was planned for this rod held nearer than at its
-    end."""
-    beyond = trajectory.metadata.get("beyond_grip", 0.0)
-    if not beyond or trajectory.rod is None:
+    """The rod as far as the grip that moves along a trajectory, where it is as long as the whole
+    one that this was planned for; any other, such as one that ends at the grip, as it is."""
+    planned = trajectory.rod
+    if not trajectory.beyond_grip or planned is None:
         return rod
-    held = trajectory.rod.length
-    return replace(rod, length=held) if abs(held + beyond - rod.length) < _SAME * held else rod
+    whole = planned.length + trajectory.beyond_grip
+    return rod if abs(whole - rod.length) > _SAME * whole else replace(rod, length=planned.length)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
+from wrod.planning.hold import as_held
 from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
@@ -59,7 +60,7 @@ def tail(
         rod, trajectory: see above.
         shapes: compute the suspended rod's, by the solver.
     """
-    rod = replace(trajectory.rod or rod, length=rod.length)
+    rod = replace(trajectory.rod or rod, length=as_held(trajectory, rod).length)
     lgb = rod.gravito_bending_length
     start = float(trajectory.arc_length[-1])
     length = rod.length - MIN_SUSPENDED_LENGTH * lgb - start

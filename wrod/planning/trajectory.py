@@ -27,7 +27,8 @@ from wrod.rods.model_file import rod_of_json
 
 _FORMAT = "wrod-trajectory-1"
 _ARRAYS = (
-    "arc_length", "contact", "position", "rotation", "force", "roll", "shape", "twist"
+    "arc_length", "contact", "position", "rotation", "force", "roll", "beyond_grip", "shape",
+    "twist",
 )  # fmt: skip
 # A grip jumps where it goes so many times as far for the rod that it lays as two poses before and
 # after; plans of sharp bends, and of few poses, come to 6. None of what is shorter is a jump [m],
@@ -62,6 +63,8 @@ class Trajectory:
             it is not; whole turns count, which `rotation` cannot tell. In the NPZ file only.
         roll: that the rod is put into the grip at: of its first material director where it begins,
             from left towards up [rad].
+        beyond_grip: length of the rod that hangs from the grip on its other side [m]; `rod` ends at
+            the grip, so that the whole one is longer by this (`wrod.planning.hold.as_held`).
 
     Raises:
         DataError: an array is not as docs/formats.md has it of a trajectory's file.
@@ -76,6 +79,7 @@ class Trajectory:
     shape: np.ndarray | None = None
     twist: np.ndarray | None = None
     roll: float = 0.0
+    beyond_grip: float = 0.0
 
     def __post_init__(self):
         given = {name: getattr(self, name) for name in _ARRAYS} | {"format": _FORMAT}
@@ -92,7 +96,7 @@ class Trajectory:
 
     @property
     def rod(self) -> RodModel | RodMaterial | None:
-        """The rod that was planned for; None where `metadata` does not say."""
+        """The rod that was planned for, as far as the grip; None where `metadata` does not say."""
         content = self.metadata.get("rod")
         return rod_of_json(content) if isinstance(content, dict) else None
 
@@ -158,15 +162,16 @@ class Trajectory:
             ]
         )
 
+        told = {**self.metadata, "beyond_grip": self.beyond_grip}
         try:
-            metadata = json.dumps(self.metadata, sort_keys=True)
+            metadata, head = (json.dumps(one, sort_keys=True) for one in (self.metadata, told))
         except (TypeError, ValueError, RecursionError) as reason:
             raise DataError(f"the trajectory's metadata cannot be JSON: {reason}") from None
         values = {name: getattr(self, name) for name in _ARRAYS}
         present = {name: value for name, value in values.items() if value is not None}
         said = [[f"{value:.12g}" for value in row] for row in rows]
         return [
-            write_csv(csv, columns, said, f"{_FORMAT} {metadata}"),
+            write_csv(csv, columns, said, f"{_FORMAT} {head}"),
             write_npz(
                 suffixed(path, ".npz"), format=_FORMAT, units="SI: m, N", metadata=metadata,
                 **present,
@@ -184,8 +189,9 @@ class Trajectory:
         data = read_fields(path, "Trajectory")
         label, what = data.pop("metadata", "{}"), "the metadata of a trajectory"
         metadata = decode_labels(label, schemas.TrajectoryMetadata, f"{path}: metadata", what)
-        # Earlier versions kept the roll in the metadata.
-        data.setdefault("roll", float(metadata.get("roll", 0.0)))
+        # Earlier versions kept these in the metadata.
+        for name in ("roll", "beyond_grip"):
+            data.setdefault(name, float(metadata.pop(name, 0.0)))
         loaded = cls(**data, metadata=metadata)
         try:
             _ = loaded.rod
