@@ -20,6 +20,7 @@ from wrod.commands.options import (
     closure_option,
     method_option,
 )
+from wrod.commands.plan_beyond import beyond_the_grip
 from wrod.commands.plan_pattern import Shaping, fit, shorter, too_long
 from wrod.commands.plan_steps import (
     NO_JOINT_PATH,
@@ -264,11 +265,13 @@ def _view(scene: Path) -> None:
 def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[Path]) -> dict:
     from wrod.rods.model import RodModel
 
+    beyond, more = beyond_the_grip(trajectory, joint_path)
     rolled = trajectory.twist is not None and RodModel.of(fitted.rod).has_sides
     return {
         **trajectory.metadata,
         **fitted.figures,
         "beyond_grip": trajectory.beyond_grip,
+        "beyond": beyond,
         "nodes": len(trajectory),
         "laid_length": float(trajectory.arc_length[-1]),
         "roll": float(trajectory.roll),
@@ -276,7 +279,7 @@ def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[P
         "twist": trajectory.twist[[0, -1]].tolist() if rolled else None,
         "joint_path": None if joint_path is None else joint_path.metadata,
         "no_joint_path": reason,
-        "notes": list(fitted.notes),
+        "notes": [*fitted.notes, *more],
         "written": [str(path) for path in written],
     }
 

@@ -49,7 +49,7 @@ class Prepared:
         note = (
             f"held at {rod.length:.3f} m from the free end, so that less hangs and is stretched by "
             f"what nobody knows (at its other end: --hold {whole:g}); {whole - rod.length:.3f} m "
-            "hang beyond the grip: keep them off what lies, or cut them off"
+            "hang beyond the grip"
         )
         return replace(self, rod=rod, notes=(*self.notes, note))
 

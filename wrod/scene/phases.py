@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrod.planning.beyond import Beyond
 from wrod.planning.shapes import with_shapes
 from wrod.planning.tail import with_tail
 from wrod.scene.rod_shapes import whole_rod
@@ -61,17 +62,24 @@ class Onward:
 
 
 def rods_of(trajectory, joint_path, pattern, points: int) -> tuple[np.ndarray, Onward | None]:
-    """Shapes (T, points, 3) of the rod at the nodes [m], and beyond them where the joint path lays
-    the tail."""
+    """Shapes (T, points + n, 3) of the rod at the nodes [m], with what hangs beyond the grip, and
+    beyond the nodes where the joint path lays the tail."""
     if joint_path is not None and any(p["name"] == "tail" for p in joint_path.phases):
         # Shapes first: the solver knows the pattern's bends, and a tail's bends only by itself.
         known = pattern if hasattr(pattern, "sample") else None
         joined = with_tail(with_shapes(trajectory, known))
         if joined is not None:
-            shapes, last = whole_rod(joined, pattern, points), len(trajectory) - 1
+            shapes, last = _to_its_end(joined, pattern, points), len(trajectory) - 1
             onward = Onward(joined.arc_length[last:], shapes[last:], joined.contact[last:])
             return shapes[: last + 1], onward
-    return whole_rod(trajectory, pattern, points), None
+    return _to_its_end(trajectory, pattern, points), None
+
+
+def _to_its_end(trajectory, pattern, points: int) -> np.ndarray:
+    """(T, points + n, 3) rod at the nodes, with what hangs beyond the grip [m]."""
+    shapes = whole_rod(trajectory, pattern, points)
+    beyond = Beyond.of(trajectory, poses=len(trajectory))
+    return shapes if beyond is None else np.concatenate([shapes, beyond.drawn[:, 1:]], axis=1)
 
 
 def covered(trajectory, rest: np.ndarray | None) -> np.ndarray:

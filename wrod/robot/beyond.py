@@ -1,0 +1,45 @@
+"""Where an arm meets what hangs beyond its grip."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.planning.beyond import Beyond
+from wrod.robot.collision import CollisionModel, segment_distance
+from wrod.robot.joint_path import JointPath
+
+
+@dataclass(frozen=True)
+class Met:
+    """The link that meets it nearest to the grip, how far from that [m], and the length that is
+    laid when any does for the first time [m]."""
+
+    link: str
+    free: float
+    laid: float
+
+
+def met_beyond(path: JointPath, beyond: Beyond, clearance: float = 0.005) -> Met | None:
+    """Where capsules around the arm's links come nearer than `clearance` [m] to what hangs beyond
+    the grip, as capsules; those that hold it left out. None where none does."""
+    import torch
+
+    model, robot = CollisionModel(path.robot), path.robot
+    with torch.no_grad():
+        positions = torch.from_numpy(path.node_positions[beyond.nodes])
+        start, end = model.points(robot.chain.forward_kinematics_tensor(positions))
+        base = path.placement.base_from_world
+        rod = torch.from_numpy(beyond.shape @ base[:3, :3].T + base[:3, 3])
+        gap = segment_distance(
+            start[:, :, None], end[:, :, None], rod[:, None, :-1], rod[:, None, 1:]
+        ).numpy()
+    gap -= model.radius[:, None] + beyond.radius
+    gap[:, (gap[:, :, 0] < clearance).all(axis=0)] = np.inf  # they hold it
+    gap[np.repeat((beyond.shape[:, None, 1:, 2] < 0.0), gap.shape[1], axis=1)] = np.inf
+    near = np.argwhere(gap < clearance)
+    if len(near) == 0:
+        return None
+    pose, link, piece = near[near[:, 2].argmin()]
+    steps = np.linalg.norm(np.diff(beyond.shape[pose, : piece + 1], axis=0), axis=1)
+    laid = beyond.laid[near[:, 0].min()]
+    return Met(model.links[link], float(steps.sum()), float(laid))
