@@ -33,6 +33,8 @@ def test_what_takes_longer():
     assert corrected(pattern, ROD, (0.3, 0.6)) > 1.2 * usual
     assert corrected(pattern, ROD, 0.6) < usual < corrected(pattern, ROD, 0.15)
     assert corrected(pattern, ROD, 0.3, device="cuda:0") < usual
+    some, none = (corrected(pattern, ROD, 0.3, most=most) for most in (1.0, 0.0))
+    assert none == pytest.approx(some - 1.0) and 0.0 < none < usual
     assert looking_on(pattern) > looking_on(wrod.pattern("letter-L"))
     with pytest.raises(PatternError, match="pace"):
         corrected(pattern, ROD, 0.3, pace=(0.0, 0.1))

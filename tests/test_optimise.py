@@ -300,7 +300,7 @@ def _descended(share: float, lgb: float, ahead: bool = True, floor: float = 0.0,
         """Three numbers that had better be 2; of what that promises a share comes true, and a floor
         is left."""
 
-        alone = True
+        alone, is_over = True, False
         corrections = SimpleNamespace(count=1, lgb=lgb)
 
         def at(self, x):
@@ -341,7 +341,7 @@ def test_from_far_off_bends_are_corrected_one_after_the_other():
     asked = []
 
     class Arm:
-        alone = True
+        alone, is_over = True, False
         cost, task = 1e-9 * np.eye(3), SimpleNamespace(pattern=SimpleNamespace(length=9.0))
         corrections = SimpleNamespace(count=1, lgb=1.0)
 
@@ -374,6 +374,15 @@ def test_from_far_off_bends_are_corrected_one_after_the_other():
     finite = [end for end in asked if np.isfinite(end)]
     assert finite == sorted(finite) and set(finite) == {3.0, 6.0, 9.0}
     assert np.isinf(asked[0]) and np.isinf(asked[-1])
+    # Where the time is over between two bends, what was found by then is laid in whole.
+    asked.clear()
+    Arm.is_over = property(lambda _: 6.0 in asked)
+    with pytest.raises(StopIteration) as ended:
+        next(descend(Arm(), False))
+    hurried, _ = ended.value.value
+    assert 9.0 not in asked and np.isinf(asked[-1])
+    assert states[-1].measure < hurried[-1].measure < states[0].measure
+    Arm.is_over = False
     # Of many plans that are made together what is far is left.
     Arm.alone = False
     asked.clear()
@@ -525,6 +534,12 @@ def test_corrections_stay_within_what_an_arm_can_do(bend):
 def test_friction_that_is_none_is_refused(friction):
     with pytest.raises((PatternError, GraspError), match="friction is"):
         wrod.plan(wrod.pattern("line"), replace(ROD, length=0.9), friction=friction)
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "distilled", "friction": 0.3}])
+def test_a_time_limit_is_of_what_is_optimised(options):
+    with pytest.raises(GraspError, match="time_limit is of a plan"):
+        wrod.plan(wrod.pattern("line"), replace(ROD, length=0.9), time_limit=1.0, **options)
 
 
 def test_the_intuitive_method_is_not_corrected():

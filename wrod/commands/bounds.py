@@ -81,6 +81,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "bench feedback --horizon": (2.0, 1e3),
     "bench feedback --patience": (1e-3, 1e9),
     "--left": (1.0, 1e3),
+    "plan --minutes": (1e-3, 1e5),
     "bench manifold --lengths": (2, 10_000),
     "bench perception --repeats": (1, 10_000),
     "bench deploy --levels": (1, 8),

@@ -62,6 +62,9 @@ class _GraspRequest:
         "Speed of the contact on that table [m/s], or a range (0.02:0.08), of which the fastest is "
         "taken that does no harm; 0.04."
     )
+    minutes: float | None = option(
+        "Correct each path for so long at most; the best so far is judged and taken."
+    )
     expects: bool = option(
         "Lay the plan in simulation and say how far off it will lie (default); seconds.",
         "--expect/--no-expect",
@@ -94,15 +97,15 @@ class _GraspRequest:
         from wrod.controller.controller import Controller
 
         if self.method == "intuitive":
-            refuse_idle_options("--method intuitive", "closure", "pace")
+            refuse_idle_options("--method intuitive", "closure", "pace", "minutes")
         if self.method in ("intuitive", "numeric"):
             refuse_idle_options(f"--method {self.method}", "controller")
         if self.friction_text is None:
-            refuse_idle_options("a plan without --friction", "pace")
+            refuse_idle_options("a plan without --friction", "pace", "minutes")
         from wrod.planning.roll import read_roll
         from wrod.planning.sources import check_method
 
-        check_method(self.method, self.friction_text, self.pace)
+        check_method(self.method, self.friction_text, self.pace, self.minutes)
         if self.closure is not None:
             from wrod.grasps.inputs import closure_number
 
@@ -117,10 +120,16 @@ class _GraspRequest:
             "roll": read_roll(self.roll_text, rod),
             "spin": math.radians(self.spin),
             "controller": None if file is None else Controller.load(file),
+            "time_limit": self.time_limit,
             "pace": None
             if self.pace is None
             else read_range(self.pace, "pace", "0.04 or 0.02:0.08", BOUNDS["--speed"]),
         }
+
+    @property
+    def time_limit(self) -> float | None:
+        """Of a path's correction [s]."""
+        return None if self.minutes is None else 60.0 * self.minutes
 
     @property
     def corrects(self) -> bool:
@@ -131,10 +140,10 @@ class _GraspRequest:
         """Of the table, if one is known."""
         return None if self.friction_text is None else read_friction(self.friction_text)
 
-    def begin(self, curve, rod, friction, device: str | None, count: int) -> None:
+    def begin(self, fitted, curve, friction, device: str | None, remainder) -> None:
         """Begin to compile what solver and simulator need, while the rest is planned, and say how
         long it takes to correct the plan for its table: of a range of paces three are tried, and
-        rods that may roll take longer, as do long patterns, long rods and `count` remainders."""
+        rods that may roll take longer, as do long patterns, long rods and remainders."""
         from wrod.grasps.levels import compile_grasps_ahead
         from wrod.rods.device import resolve_device
         from wrod.solvers.compiling import compile_steps_ahead
@@ -147,11 +156,15 @@ class _GraspRequest:
         if friction is None or self.method in ("distilled", "intuitive"):  # corrected at once
             return
         from wrod.deployment.effort import corrected
+        from wrod.planning.remainder import lead_ins
 
-        where = resolve_device(device)
-        seconds = corrected(curve, rod, friction, pace=self.read(rod)["pace"], device=where)
+        rod = fitted.rod
+        count = len(lead_ins(fitted.pattern, rod)) if remainder is None else 1
+        where, pace = resolve_device(device), self.read(rod)["pace"]
         # Two rods are laid at a time, of which a core has one.
-        seconds /= min(usable_cores(), 2) if where == "cpu" else 1
+        cores = min(usable_cores(), 2) if where == "cpu" else 1
+        most = cores * (self.time_limit or math.inf)
+        seconds = corrected(curve, rod, friction, pace=pace, most=most, device=where) / cores
         work = cost.Cost(seconds * count * (2 if self.spin else 1))
         cost.settle(work, "the plan, corrected for its table")
 
@@ -202,7 +215,7 @@ def command(
     how = grasps.read(rod)
     # What takes a second to import, once nothing is left to refuse.
     from wrod.deployment.simulate import with_remainder_of
-    from wrod.planning.remainder import lead_ins, prepare
+    from wrod.planning.remainder import prepare
 
     def planned(wanted: Shaping, friction=None, led=None, spin=None, tried=False):
         """Pattern, rod and trajectory of a shaping; `led` is the remainder, `spin` [degrees], where
@@ -218,8 +231,7 @@ def command(
                 said = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
                 raise PatternError(f"{error}; {said}") from None
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
-        count = len(lead_ins(fitted.pattern, fitted.rod)) if remainder is None else 1
-        grasps.begin(curve, fitted.rod, friction, chosen, count)
+        grasps.begin(fitted, curve, friction, chosen, remainder)
         turned = how["spin"] if spin is None else math.radians(spin)
         asked = {**how, "remainder": remainder, "spin": turned}
         asked["left"] = grasps.corrects and wanted.hold is None
@@ -239,7 +251,8 @@ def command(
         def softer(how):
             held = replace(shaping, hold=fitted.rod.length)
             start = planned(held, led=curve.remainder_length or False)[2]
-            return softened(curve, fitted.rod, trajectory, start, how, friction, chosen)
+            asked = {"time_limit": grasps.time_limit, "device": chosen or "auto"}
+            return softened(curve, fitted.rod, trajectory, start, how, friction, asked)
 
         if beside:
             corrected = (trajectory.optimised or {}).get("kept", False)

@@ -14,8 +14,9 @@ _SHARE = 0.5
 
 
 def solve_grasps_of(
-    fitted, *, method: str, device, shapes: bool, friction=None, pace=None, **options
-):
+    fitted, *, method: str, device, shapes: bool, friction=None, pace=None,
+    time_limit=None, **options,
+):  # fmt: skip
     """The trajectory of what is `Prepared`, with the rod's shapes where they are wanted."""
     from wrod.deployment.plan import plan
     from wrod.deployment.simulate import with_remainder_of
@@ -27,7 +28,8 @@ def solve_grasps_of(
         trajectory = plan(
             fitted.pattern, fitted.rod, method, device=device, progress=progress,
             friction=None if method == "intuitive" else friction,
-            pace=None if friction is None else pace, **options,
+            pace=None if friction is None else pace,
+            time_limit=None if friction is None else time_limit, **options,
         )  # fmt: skip
         if shapes:
             bar.n = 0
@@ -37,24 +39,26 @@ def solve_grasps_of(
     return trajectory if beyond is None else replace(trajectory, beyond_grip=beyond)
 
 
-def softened(curve, rod, trajectory, start, how, friction, device):
+def softened(curve, rod, trajectory, start, how, friction, asked: dict):
     """A trajectory that asks less of the arm than one that is corrected for a table, and what is
     expected of it: with a share of its corrections, or, where `how` is the joint path of `start`,
-    corrected anew within what the arm can do beside that."""
+    corrected anew within what the arm can do beside that, with the options that are `asked` of
+    `optimise`."""
     from wrod.deployment.corrections import with_share
     from wrod.deployment.expectation import expect
     from wrod.deployment.optimise import optimise
     from wrod.robot.limits import ArmLimits
 
-    device = device or "auto"
     if not isinstance(how, float):
-        asked = {"limits": ArmLimits(how), "pace": trajectory.optimised["pace"]}
-        best = optimise(curve, rod, start, friction, device=device, **asked)
+        within = {"limits": ArmLimits(how), "pace": trajectory.optimised["pace"]}
+        best = optimise(curve, rod, start, friction, **within, **asked)
         best.optimised["within_limits"] = True
         return best
     less = with_share(start, trajectory, how)
     pace = trajectory.optimised["pace"]
-    less.metadata["expected"] = expect(curve, rod, less, friction, pace=pace, device=device)
+    less.metadata["expected"] = expect(
+        curve, rod, less, friction, pace=pace, device=asked["device"]
+    )
     return less
 
 

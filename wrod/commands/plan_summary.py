@@ -119,6 +119,8 @@ def _expectation(expected: dict, optimised: dict | None) -> list[str]:
             f"to be laid at {optimised['pace']:g} m/s of the contact"
             + (f", the fastest that does no harm of {tried} m/s" if tried else "")
         )
+        if optimised.get("ended_early"):
+            lines.append("corrected for as long as --minutes says; more may lie better")
         if optimised.get("within_limits"):
             lines.append("corrected within what the arm's joints can do")
         if (share := optimised.get("share")) is not None:

@@ -3,6 +3,7 @@ them; see `wrod.deployment.optimise`."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -71,7 +72,8 @@ _BEHIND = 4.0
 
 @dataclass(frozen=True)
 class Task:
-    """A plan that is to know its table; see `optimise`."""
+    """A plan that is to know its table; see `optimise`. No step begins after `until` [s of the
+    monotonic clock]."""
 
     pattern: Pattern
     rod: RodModel | RodMaterial
@@ -79,6 +81,7 @@ class Task:
     friction: float | tuple[float, float] | Spread
     limits: Limits | None = None
     pace: float = PACE
+    until: float = np.inf
 
 
 class Limits(Protocol):
@@ -169,6 +172,11 @@ class Problem:
         self.cost = corrections.cost(_SIZE, _ROUGHNESS)
         self.count = 0
         self.remembered = [Remembered() for _ in range(samples)]
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the time is over that was given."""
+        return time.monotonic() > self.task.until
 
     def at(self, values: np.ndarray, end: float = np.inf, fixed: int = 0) -> Course[State]:
         """What corrections come to on coarse meshes, of the pattern up to `end` [m]; the first of
@@ -277,7 +285,8 @@ def descend(problem: Problem, ahead: bool) -> Course[tuple[list[State], list[np.
     states = [(yield from problem.at(np.zeros(3 * problem.corrections.count)))]
     far = _FAR * problem.corrections.lgb
     last = yield from _steps(problem, states, ahead, _HOPELESS * far if problem.alone else np.inf)
-    if min(one.measure for one in states) > far and problem.alone:
+    far_off = min(one.measure for one in states) > far
+    if far_off and problem.alone and not problem.is_over:
         states.append((yield from _bend_by_bend(problem)))
         last = yield from _steps(problem, states, ahead)
     return states, last
@@ -295,7 +304,7 @@ def _steps(
         if saved < 1.0 - _DONE**2:
             break
         near = best.measure < _NEAR * problem.corrections.lgb
-        last |= k == _MORE or (k >= _STEPS and near and as_said)
+        last |= k == _MORE or (k >= _STEPS and near and as_said) or problem.is_over
         if ahead and last:
             return [best.values + step]
         tried = yield from problem.at(best.values + step)
@@ -318,12 +327,13 @@ def _bend_by_bend(problem: Problem) -> Course[State]:
     problem.cost = _CHEAP * problem.cost
     length, values = problem.task.pattern.length, np.zeros(3 * problem.corrections.count)
     count, fixed = int(np.ceil(length / (_STRETCH * problem.corrections.lgb))), 0
-    for end in length / count * np.arange(1, count + 1):
+    for bend in range(1, count + 1):
+        end = length / count * bend
         best, radius = (yield from problem.at(values, end, fixed)), _STEP
         for _ in range(_EACH):
             step, damped = best.step(radius)
             near = best.measure < _NEAR * problem.corrections.lgb
-            if near or best.saved(step) < 1.0 - _DONE**2:
+            if near or problem.is_over or best.saved(step) < 1.0 - _DONE**2:
                 break
             tried = yield from problem.at(best.values + step, end, fixed)
             idle = _DONE * best.measure < tried.measure < best.measure
@@ -331,7 +341,9 @@ def _bend_by_bend(problem: Problem) -> Course[State]:
             if idle:
                 break
         values, fixed = best.values, problem.fixed(end - _BEHIND * problem.corrections.lgb)
-    return best if fixed == 0 else (yield from problem.at(values))
+        if problem.is_over:
+            break
+    return best if fixed == 0 and bend == count else (yield from problem.at(values))
 
 
 def _better(

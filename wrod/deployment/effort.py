@@ -1,5 +1,7 @@
 """What it takes to correct a plan for a table, and to look on, before anything is computed."""
 
+from typing import Any
+
 import numpy as np
 
 from wrod.deployment.descent import paces
@@ -33,6 +35,7 @@ def corrected(
     friction: float | tuple[float, float] | Spread,
     *,
     pace: float | tuple[float, float] | None = None,
+    most: float = np.inf,
     device: str = "cpu",
 ) -> float:
     """Processor time of `wrod.deployment.optimise.optimise` [s].
@@ -45,10 +48,12 @@ def corrected(
         rod: what is laid.
         friction: of the table, see `optimise`.
         pace: of the contact [m/s], or a range; None: the usual one.
+        most: that its steps may take [s].
         device: "cpu", or else a GPU.
     """
     if isinstance(pace, tuple):
-        return sum(corrected(pattern, rod, friction, pace=v, device=device) for v in paces(pace))
+        how: dict[str, Any] = {"most": most, "device": device}
+        return sum(corrected(pattern, rod, friction, pace=v, **how) for v in paces(pace))
     spread, lgb = Spread.of(friction), rod.gravito_bending_length
     s = np.linspace(-pattern.remainder_length, pattern.length, 2000)
     curvature = np.abs(pattern.sample(s)[2]) * lgb
@@ -61,8 +66,8 @@ def corrected(
         laid / edged(mesh, edge * lgb).spacing + _HANGING
         for mesh, edge in ((COARSE, COARSE_EDGE), (JUDGING, JUDGING_EDGE))
     )
-    work = _DERIVED * steps * rods * coarse + _JUDGED * _PATHS * _RODS * fine
-    return way_time(pattern, rod, pace or PACE) * work / (1.0 if device == "cpu" else _CARD)
+    way = way_time(pattern, rod, pace or PACE) / (1.0 if device == "cpu" else _CARD)
+    return min(_DERIVED * steps * rods * coarse * way, most) + _JUDGED * _PATHS * _RODS * fine * way
 
 
 def way_time(pattern: Pattern, rod: RodModel | RodMaterial, pace: float) -> float:

@@ -9,6 +9,7 @@ rods and tables lie on the pattern, on average and at their worst.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -48,6 +49,7 @@ def optimise(
     samples: int | None = None,
     hold: float = 0.05,
     judge: bool = True,
+    time_limit: float | None = None,
     device: str | None = "cpu",
 ) -> Trajectory:
     """Correct a trajectory's positions until what stays on the table lies on the pattern.
@@ -78,18 +80,20 @@ def optimise(
         hold: length of the free end that is held at first [m].
         judge: whether to lay the unseen rods, without which nothing is expected of the plan and
             the sample decides.
+        time_limit: [s] after which no step begins: the best so far is judged; None: none.
         device: "cpu", "cuda:0" or "auto".
 
     Returns:
         The corrected trajectory. `optimised` holds the range of friction, the mean error of the
         sample before and after [m], whether a correction was "kept", the largest
         correction [m], the pace [m/s], and of each of the "paces" that were tried what was expected
-        [m]; `expected` is what `expect` says.
+        [m], and whether it "ended_early"; `expected` is what `expect` says.
 
     Raises:
         PatternError: friction is not usable, or the trajectory is too short to be laid.
     """
     how: dict[str, Any] = dict(limits=limits, pace=pace, samples=samples, hold=hold, device=device)
+    how |= {"time_limit": time_limit}
     return optimise_rivals([(pattern, trajectory)], rod, friction, judge=judge, **how)
 
 
@@ -103,13 +107,15 @@ def optimise_rivals(
     samples: int | None = None,
     hold: float = 0.05,
     judge: bool = True,
+    time_limit: float | None = None,
     device: str | None = "cpu",
 ) -> Trajectory:
     """`optimise` of each of several patterns and their trajectories, such as a pattern with one
     remainder and with another; what is returned is the plan by which unseen rods lie best."""
     values = paces(pace)
+    until = np.inf if time_limit is None else time.monotonic() + time_limit
     tasks = [
-        Task(pattern, rod, trajectory, friction, limits, v)
+        Task(pattern, rod, trajectory, friction, limits, v, until)
         for pattern, trajectory in rivals
         for v in values.tolist()
     ]
@@ -166,6 +172,7 @@ def course(
     corrections = Corrections(task.pattern, trajectory, lgb, hold)
     problem = Problem(task, corrections, spread, samples, judge)
     states, ahead = yield from descend(problem, judge)
+    early = problem.is_over
     tried = [Tried(one.values, one.errors.mean(), (0, one.measure)) for one in states]
     if judge:
         best = min(states, key=lambda one: one.errors.mean())
@@ -180,6 +187,7 @@ def course(
         "errors": [float(states[0].errors.mean()), float(best.error)],
         "kept": bool(best.values.any()),
         "pace": task.pace,
+        "ended_early": early,
         "largest_correction": float(
             lgb * np.abs(corrections.basis @ best.values.reshape(-1, 3)).max()
         ),

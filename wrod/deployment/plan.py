@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         arguments.either(arguments.number(0.0, 100.0), arguments.array((2,)))
     ),
     pace=arguments.optional(arguments.either(arguments.number(5e-4, 10.0), arguments.array((2,)))),
+    time_limit=arguments.optional(arguments.number(0.0)),
     left=arguments.optional(arguments.either(arguments.flag, arguments.number(1.0, 1e3))),
 )
 def plan(
@@ -53,6 +54,7 @@ def plan(
     controller: Controller | None = None,
     friction: float | tuple[float, float] | None = None,
     pace: float | tuple[float, float] | None = None,
+    time_limit: float | None = None,
     left: bool | float | None = None,
     expect: bool = False,
     device: str | None = None,
@@ -85,11 +87,10 @@ def plan(
         friction: of the table, a coefficient (known to a tenth) or a range: the path is corrected
             until what stays lies on the pattern (docs/deployment.md; a minute). None: as it is.
         pace: of the contact on that table [m/s], 0.04 by default; of a range the fastest harmless.
-        left: what hangs from where the grip holds the rod when the pattern is laid [L_gb], at
-            least 1; the rest is `Trajectory.beyond_grip`. True is 4, by which rods of unknown
-            stretch lie best; False: held at the end. None: True with `friction`, or else False.
-        expect: also lay the finished plan in simulation, on tables of `friction` or, where it is
-            not said, of 0.2 to 0.6 (seconds), for its `expected`.
+        time_limit: [s] of each path's correction, after which it ends with the best so far.
+        left: what hangs from the grip when the pattern is laid [L_gb], at least 1; of the rest see
+            `Trajectory.beyond_grip`. True: 4; False: all there is; None: True with `friction`.
+        expect: lay the finished plan, too, on tables of `friction` or 0.2 to 0.6, for `expected`.
         device: where the solver runs: "cpu", "cuda:0" or None for its choice; progress: called with
             the nodes done since the last call and the number of all nodes.
 
@@ -102,8 +103,7 @@ def plan(
         of its natural curvature that a grasp of a varying rod was made with (`grasps.relaxed`).
 
     Raises:
-        PatternError: less than 1 L_gb is left suspended, or it is bent tighter than its radius or
-            than grasps are solved for.
+        PatternError: less than 1 L_gb is left suspended, or bends are too tight for rod or grasps.
         GraspError: unknown method, friction for the intuitive one, a grasp that did not converge
             (names node and inputs), or a controller that was made for another rod.
 
@@ -112,13 +112,14 @@ def plan(
         WrodWarning: some grasps are of a rod closer to straight.
         OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
-    check_method(method, friction, pace)
+    check_method(method, friction, pace, time_limit)
     rod, beyond = _held(pattern, rod, remainder, friction is not None if left is None else left)
     how: dict[str, Any] = dict(
         closure=closure, spacing=spacing, roll=roll, spin=spin, controller=controller,
         device=device, progress=progress,
     )  # fmt: skip
-    made = _planned(pattern, rod, method, remainder, friction, pace, expect, how)
+    asked = {"pace": pace, "time_limit": time_limit}
+    made = _planned(pattern, rod, method, remainder, friction, asked, expect, how)
     return replace(made, beyond_grip=beyond) if beyond else made
 
 
@@ -131,7 +132,14 @@ def _held(pattern: Pattern, rod, remainder, left: bool | float):
 
 
 def _planned(
-    pattern: Pattern, rod, method: str, remainder, friction, pace, expect: bool, how: dict[str, Any]
+    pattern: Pattern,
+    rod,
+    method: str,
+    remainder,
+    friction,
+    asked,
+    expect: bool,
+    how: dict[str, Any],
 ) -> Trajectory:
     """The plan that `how` asks for, corrected for a table of such a friction, of the pattern with
     the best of its remainders, and what is expected of it where that is asked for."""
@@ -144,7 +152,7 @@ def _planned(
     if friction is None:
         trajectory = own_or_straight(led[0], rod, method, None, how)
     else:
-        trajectory = _corrected(led, rod, method, friction, pace, how)
+        trajectory = _corrected(led, rod, method, friction, asked, how)
     if expect and "expected" not in trajectory.metadata:
         from wrod.deployment.expectation import foresee
 
@@ -154,9 +162,9 @@ def _planned(
 
 
 def _corrected(
-    led: list[Pattern], rod, method: str, friction, pace, how: dict[str, Any]
+    led: list[Pattern], rod, method: str, friction, asked: dict[str, Any], how: dict[str, Any]
 ) -> Trajectory:
-    """The plan that `how` asks for, corrected for a table of such a friction."""
+    """The plan that `how` asks for, corrected as is `asked` for a table of such a friction."""
     from wrod.deployment.optimise import optimise_rivals
     from wrod.deployment.rivals import as_is_or_twisted, own_or_straight
     from wrod.deployment.spread import Spread
@@ -172,6 +180,6 @@ def _corrected(
         from wrod.deployment.distilled import distilled
 
         return distilled(led[0], rod, starts[0], float(np.mean(spread.friction)))
-    asked = {} if pace is None else {"pace": pace}
+    asked = {name: value for name, value in asked.items() if value is not None}
     rivals = list(zip(led, starts, strict=True))
     return optimise_rivals(rivals, rod, spread, device=how["device"], **asked)

@@ -280,21 +280,22 @@ SOURCES: dict[str, Callable[[GraspInputs], Grasps]] = {
 DISTILLED = "distilled"
 
 
-def check_method(method: str, friction, pace) -> None:
+def check_method(method: str, friction, pace, time_limit=None) -> None:
     """Refuse what is no method of a plan for a table of that friction, if any.
 
     Raises:
-        GraspError: it is unknown, or friction or pace do not go with it.
+        GraspError: it is unknown, or what else is asked for does not go with it.
     """
     if method not in (*SOURCES, DISTILLED):
         names = ", ".join((*SOURCES, DISTILLED))
         raise GraspError(f"unknown method {method!r}; use one of {names}")
     if method == DISTILLED and friction is None:
         raise GraspError(f"method {DISTILLED!r} corrects a plan for a table; say its friction")
-    if pace is not None and (friction is None or method == DISTILLED):
-        raise GraspError(
-            "pace is what a plan is optimised for on a table; leave it out, or optimise"
-        )
+    for name, value in (("pace", pace), ("time_limit", time_limit)):
+        if value is not None and (friction is None or method == DISTILLED):
+            raise GraspError(
+                f"{name} is of a plan that is optimised for a table; leave it out, or optimise"
+            )
     if method == "intuitive" and friction is not None:
         raise GraspError(
             "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
