@@ -52,10 +52,6 @@ def test_what_touches_the_table_is_said_and_how_much_may_be_left():
     free = longest_free(down)
     assert 0.1 - 0.2 / 32 - 1e-3 < free < 0.1
     assert not Beyond.of(replace(down, beyond_grip=free)).touches.any()
-    drawn = hangs.drawn
-    assert drawn[..., 2].min() == 0.0
-    lengths = np.linalg.norm(np.diff(drawn, axis=1), axis=2).sum(axis=1)
-    np.testing.assert_allclose(lengths, 0.2, rtol=0.03)
     high = held(np.full(3, -0.5 * np.pi), 0.2, 0.3)
     assert not Beyond.of(high).touches.any() and longest_free(high) == 0.2
     assert Beyond.of(held(np.zeros(3), 0.0, 0.1)) is None
@@ -68,7 +64,7 @@ def test_scenes_show_it():
     pattern = wrod.Pattern.from_points(points)
     path = wrod.plan(pattern, ROD, spacing=0.02, left=3)
     shapes, _ = rods_of(path, None, pattern, 50)
-    assert path.beyond_grip == pytest.approx(0.09)
+    assert path.beyond_grip == pytest.approx(0.09) and longest_free(path) == path.beyond_grip
     np.testing.assert_allclose(shapes[:, 49], path.position, atol=1e-6)
     lengths = np.linalg.norm(np.diff(shapes[:, 49:], axis=1), axis=2).sum(axis=1)
     np.testing.assert_allclose(lengths, 0.09, rtol=0.03)

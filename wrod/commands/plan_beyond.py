@@ -17,7 +17,7 @@ def beyond_the_grip(trajectory, joint_path) -> tuple[dict | None, list[str]]:
         onto = " and onto what lies there" if beyond.lies_on.any() else ""
         notes.append(
             f"what hangs beyond the grip comes down to the table{onto} when {from_laid:.3f} m are "
-            f"laid: cut off all but {free:.3f} m of it, or hold it up"
+            f"laid: cut off all but {free:.3f} m of it, as scenes show it, or hold it up"
         )
     figures = {"off_the_table": free, "on_the_table_from": from_laid, "met": None}
     if joint_path is not None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.planning.beyond import Beyond
+from wrod.planning.beyond import Beyond, longest_free
 from wrod.planning.shapes import with_shapes
 from wrod.planning.tail import with_tail
 from wrod.scene.rod_shapes import whole_rod
@@ -76,10 +76,13 @@ def rods_of(trajectory, joint_path, pattern, points: int) -> tuple[np.ndarray, O
 
 
 def _to_its_end(trajectory, pattern, points: int) -> np.ndarray:
-    """(T, points + n, 3) rod at the nodes, with what hangs beyond the grip [m]."""
-    shapes = whole_rod(trajectory, pattern, points)
-    beyond = Beyond.of(trajectory, poses=len(trajectory))
-    return shapes if beyond is None else np.concatenate([shapes, beyond.drawn[:, 1:]], axis=1)
+    """(T, points + n, 3) rod at the nodes, with as much of what hangs beyond the grip as comes down
+    to the table at none [m]: on it the rest would push what lies."""
+    shapes, share = whole_rod(trajectory, pattern, points), 0.0
+    if trajectory.beyond_grip:
+        share = longest_free(trajectory) / trajectory.beyond_grip
+    hangs = Beyond.of(trajectory, share, len(trajectory))
+    return shapes if hangs is None else np.concatenate([shapes, hangs.shape[:, 1:]], axis=1)
 
 
 def covered(trajectory, rest: np.ndarray | None) -> np.ndarray:
