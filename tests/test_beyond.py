@@ -52,6 +52,9 @@ def test_what_touches_the_table_is_said_and_how_much_may_be_left():
     free = longest_free(down)
     assert 0.1 - 0.2 / 32 - 1e-3 < free < 0.1
     assert not Beyond.of(replace(down, beyond_grip=free)).touches.any()
+    lengths = np.linalg.norm(np.diff(hangs.drawn, axis=1), axis=2).sum(axis=1)
+    assert hangs.drawn[..., 2].min() == 0.0
+    np.testing.assert_allclose(lengths, 0.2, rtol=0.03)
     high = held(np.full(3, -0.5 * np.pi), 0.2, 0.3)
     assert not Beyond.of(high).touches.any() and longest_free(high) == 0.2
     assert Beyond.of(held(np.zeros(3), 0.0, 0.1)) is None

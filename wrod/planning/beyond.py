@@ -81,6 +81,21 @@ class Beyond:
         ]
         return self.touches & (np.array(apart) < 3.0 * self.radius)
 
+    @property
+    def drawn(self) -> np.ndarray:
+        """(K, M, 3) shapes of which nothing is below the table [m]: it lies on it, straight on."""
+        shapes = self.shape.copy()
+        lengths = np.linalg.norm(np.diff(shapes, axis=1), axis=2)
+        for pose in np.flatnonzero(self.touches):
+            shape, steps = shapes[pose], lengths[pose]
+            k = max(int(np.argmax(shape[:, 2] < 0.0)), 1)
+            ahead = shape[k, :2] - shape[0, :2]
+            apart = float(np.linalg.norm(ahead))
+            ahead = ahead / apart if apart > 1e-9 else np.array([1.0, 0.0])
+            shape[k:, :2] = shape[k - 1, :2] + np.cumsum(steps[k - 1 :])[:, None] * ahead
+            shape[k:, 2] = 0.0
+        return shapes
+
 
 def longest_free(trajectory: Trajectory) -> float:
     """Length beyond the grip that comes down to the table at no pose [m], at most what there is."""

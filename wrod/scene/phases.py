@@ -62,27 +62,27 @@ class Onward:
 
 
 def rods_of(trajectory, joint_path, pattern, points: int) -> tuple[np.ndarray, Onward | None]:
-    """Shapes (T, points + n, 3) of the rod at the nodes [m], with what hangs beyond the grip, and
-    beyond the nodes where the joint path lays the tail."""
+    """Shapes (T, points + n, 3) of the rod at the nodes [m], with as much of what hangs beyond the
+    grip as stays off the table, and beyond the nodes where the joint path lays the tail."""
+    share = 0.0
+    if trajectory.beyond_grip:  # on the table the rest would push what lies
+        share = longest_free(trajectory) / trajectory.beyond_grip
     if joint_path is not None and any(p["name"] == "tail" for p in joint_path.phases):
         # Shapes first: the solver knows the pattern's bends, and a tail's bends only by itself.
         known = pattern if hasattr(pattern, "sample") else None
         joined = with_tail(with_shapes(trajectory, known))
         if joined is not None:
-            shapes, last = _to_its_end(joined, pattern, points), len(trajectory) - 1
+            shapes, last = _to_its_end(joined, pattern, points, share), len(trajectory) - 1
             onward = Onward(joined.arc_length[last:], shapes[last:], joined.contact[last:])
             return shapes[: last + 1], onward
-    return _to_its_end(trajectory, pattern, points), None
+    return _to_its_end(trajectory, pattern, points, share), None
 
 
-def _to_its_end(trajectory, pattern, points: int) -> np.ndarray:
-    """(T, points + n, 3) rod at the nodes, with as much of what hangs beyond the grip as comes down
-    to the table at none [m]: on it the rest would push what lies."""
-    shapes, share = whole_rod(trajectory, pattern, points), 0.0
-    if trajectory.beyond_grip:
-        share = longest_free(trajectory) / trajectory.beyond_grip
+def _to_its_end(trajectory, pattern, points: int, share: float) -> np.ndarray:
+    """(T, points + n, 3) rod at the nodes, with a share of what hangs beyond the grip [m]."""
+    shapes = whole_rod(trajectory, pattern, points)
     hangs = Beyond.of(trajectory, share, len(trajectory))
-    return shapes if hangs is None else np.concatenate([shapes, hangs.shape[:, 1:]], axis=1)
+    return shapes if hangs is None else np.concatenate([shapes, hangs.drawn[:, 1:]], axis=1)
 
 
 def covered(trajectory, rest: np.ndarray | None) -> np.ndarray:
