@@ -105,7 +105,8 @@ class _GraspRequest:
         from wrod.planning.roll import read_roll
         from wrod.planning.sources import check_method
 
-        check_method(self.method, self.friction_text, self.pace, self.minutes)
+        table = self.friction_text if self.corrects else None
+        check_method(self.method, table, self.pace, self.minutes)
         if self.closure is not None:
             from wrod.grasps.inputs import closure_number
 
