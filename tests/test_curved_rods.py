@@ -197,7 +197,8 @@ def test_a_strongly_bent_rod_is_tilted_and_not_laid_in_waves():
     for other, known in ((mildly, False), (bent, True)):
         assert roll_angle(None, line, other, known) == roll_angle("plane", line, other)
     mesh = Discretisation(spacing=0.01, step=0.02)
-    paths = [wrod.plan(line, bent, roll=r, device="cpu", remainder=False) for r in (None, "plane")]
+    how = {"device": "cpu", "remainder": False, "spacing": 0.01}
+    paths = [wrod.plan(line, bent, roll=roll, **how) for roll in (None, "plane")]
     trials = [Trial(line, bent, path, wrod.Friction(1.0)) for path in paths]
     tilted, plane = simulate_deployments(trials, discretisation=mesh, speed=0.05)
     assert tilted.error_mean < 1e-3
@@ -376,7 +377,9 @@ def test_departures_of_the_roll_grow_as_the_tangents_of_grasps_say(monkeypatch):
     rod = replace(wrod.rod("green-vps"), length=0.65, natural_curvature=(4.0, 0.0))
     rolls, paths = np.radians([-90.0, 30.0]), []
     for roll in rolls:
-        path = wrod.plan(line, rod, method="numeric", roll=roll, device="cpu", remainder=False)
+        path = wrod.plan(
+            line, rod, "numeric", roll=roll, device="cpu", remainder=False, spacing=0.005
+        )
         turn = 4e-3 * np.exp(-0.5 * ((path.arc_length - 0.1) / 0.02) ** 2)
         turned = Rotation.from_rotvec(turn[:, None] * [1.0, 0.0, 0.0]).as_matrix()
         paths += [path, replace(path, rotation=path.rotation @ turned)]
