@@ -334,10 +334,10 @@ def compare(scene, names, size=1e-4, **options):
         if name == "poses":
             way[: options.get("warm", 0)] = 0.0
             step *= 2.0**-6 if scene.kinked else 1.0
-            if scene.ground in ("tray", "slab"):  # on whose height the skin's force depends much
+            if scene.ground in ("tray", "slab", "rough tray"):  # the skin's force goes by its height
                 step *= 2.0**-3
                 way[..., 6] = 0.0
-        elif name == "friction" and scene.ground in ("solids", "tray"):
+        elif name == "friction" and scene.ground not in (False, True, "slab"):
             step *= 2.0**-5
         elif name == "gravity" and scene.ground:  # more of it lets nodes slide that stick
             step *= 2.0**-4
@@ -510,7 +510,7 @@ SOLIDS = [1, 1, 1, 0, 1, 1]
         ("rough", [1], {}),
         ("rough", [1], {"curled": True}),
         ("rough tray", [1], {}),
-        ("rough tray", [1], {"mass": 0.01}),
+        ("rough tray", [1], {"mass": 1.0}),
     ],
 )
 def test_gradients_over_the_ground(ground, rubs, options):
@@ -521,7 +521,10 @@ def test_gradients_over_the_ground(ground, rubs, options):
     names = [n for n in EVERY if n != "node_natural_curvature" or "curled" in options]
     scene = Scene(ground=ground, dt=0.005, **options)
     # Where edges roll an iteration more or less is seen, where heights matter the skin.
-    compare(scene, names, size=4e-6 if ground is True or "curled" not in options else 4e-5)
+    size = 4e-6 if ground is True or "curled" not in options else 4e-5
+    if ground in ("rough", "rough tray"):  # one side takes over from another within little
+        size = 1e-6
+    compare(scene, names, size=size)
     by_friction = scene.model.shape_material_mu.grad.numpy()[-len(rubs) :]
     assert ((by_friction != 0.0) == np.array(rubs)).all()
 
