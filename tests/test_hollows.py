@@ -195,3 +195,47 @@ def test_rods_come_to_rest_on_waves(mu):
         q = state.der.node_q.numpy()
         on_it = np.abs(q[:, :2]).max(axis=1) < 0.3
         assert (q[on_it, 2] > waves(*q[on_it, :2].T) - 0.01).all()  # which is of coarse triangles
+
+
+def test_a_bowl_that_falls_on_a_rod_keeps_the_momentum_of_both():
+    """A free body with a hollow meets a free rod, with friction and no gravity: momentum is that of
+    before within what a state's floats can hold, angular momentum to second order in the step."""
+    builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
+    SolverDER.register_custom_attributes(builder)
+    vertices, triangles = ground_mesh(lambda x, y: 0.7 * np.hypot(x, y), 9, 0.05)
+    cup = builder.add_body(
+        xform=wp.transform((0.0, 0.0, -0.02), wp.quat_rpy(0.1, 0.2, 0.0)), mass=0.02,
+        inertia=wp.mat33(1e-5 * np.eye(3)),
+    )  # fmt: skip
+    cfg = newton.ModelBuilder.ShapeConfig(mu=0.5, density=0.0)
+    builder.add_shape_mesh(cup, mesh=newton.Mesh(vertices, triangles.ravel()), cfg=cfg)
+    material = wrod.RodMaterial(radius=RADIUS, gravito_bending_length=0.1, length=1.0)
+    SolverDER.add_rod(builder, np.linspace((-0.1, 0.01, 0.03), (0.1, 0.0, 0.03), 17), material)
+    model = builder.finalize(device=DEVICE)
+    solver, state = SolverDER(model, bodies=[cup]), model.state()
+    speed = state.body_qd.numpy()
+    speed[cup] = [0.1, 0.0, 0.5, 0.0, 1.0, 0.5]
+    state.body_qd.assign(speed)
+    contacts = newton.CollisionPipeline(model).contacts()
+    mass, inertia = 0.02, 1e-5
+
+    def momenta():
+        q, v = state.der.node_q.numpy(), state.der.node_qd.numpy()
+        m = model.der.node_mass.numpy()[:, None]
+        pose, way = (
+            state.body_q.numpy()[cup].astype(float),
+            state.body_qd.numpy()[cup].astype(float),
+        )
+        linear = (m * v).sum(axis=0) + mass * way[:3]
+        angular = np.cross(q, m * v).sum(axis=0)
+        return linear, angular + mass * np.cross(pose[:3], way[:3]) + inertia * way[3:]
+
+    linear, angular = momenta()
+    pushed = 0.0
+    for _ in range(240):
+        solver.step(state, state, None, contacts, 0.0005)
+        pushed = max(pushed, np.abs(state.der.node_contact_f.numpy()).max())
+    assert pushed > 0.05 and not solver.diverged.any()
+    now = momenta()
+    assert now[0] == pytest.approx(linear, abs=1e-8)
+    assert now[1] == pytest.approx(angular, abs=5e-8)
