@@ -1,5 +1,7 @@
 """Cables in USD files: what is written is read, by Newton's own importer too."""
 
+from dataclasses import replace
+
 import newton
 import numpy as np
 import pytest
@@ -8,19 +10,21 @@ from pxr import Usd, UsdGeom
 
 import wrod
 from wrod.errors import RodError
+from wrod.rods.law import Softening
 
 RADIUS, LENGTH = 0.004, 0.5
 
 
-def scene(**options):
+def scene(**changes):
     builder = newton.ModelBuilder()
     wrod.SolverDER.register_custom_attributes(builder)
     x = np.linspace(0.0, LENGTH, 21)
     for k, young in enumerate((2e6, 6e6)):
         material = wrod.RodMaterial.from_youngs_modulus(young, RADIUS, LENGTH, density=1150.0)
+        rod = replace(wrod.RodModel.of(material), **changes)
         points = np.column_stack([x, 0.1 * k + 0 * x, 0.3 + 0.1 * np.sin(2 * x)])
         wrod.SolverDER.add_rod(
-            builder, points, material, start="clamped", internal_damping=0.01 * (k + 1), **options
+            builder, points, rod, start="clamped", internal_damping=0.01 * (k + 1)
         )
     return builder.finalize(device=DEVICE)
 
@@ -77,9 +81,13 @@ def test_units_and_axes_of_the_stage(tmp_path):
 
 
 def test_what_usd_cannot_say_is_refused(tmp_path):
-    bent = scene(natural_curvature=(1.0, 0.0))
-    with pytest.raises(RodError, match="no words"):
-        wrod.SolverDER.write_usd(bent, bent.state(), tmp_path / "cables.usda")
+    for changes in (
+        {"natural_curvature": (1.0, 0.0)}, {"law": Softening(10.0, 0.5)}, {"quadratic_drag": 0.5},
+        {"line_mass": wrod.Profile((0.05, 0.1), (0.0, LENGTH))}, {"point_masses": ((0.2, 1e-3),)},
+    ):  # fmt: skip
+        model = scene(**changes)
+        with pytest.raises(RodError, match="no words"):
+            wrod.SolverDER.write_usd(model, model.state(), tmp_path / "cables.usda")
     with pytest.raises(RodError, match="no USD file"):
         read(tmp_path / "nothing.usda")
     model = scene()

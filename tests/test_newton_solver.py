@@ -57,6 +57,19 @@ def place(model, state, body, position, rotation=(0.0, 0.0, 0.0, 1.0)):
     state.body_q.assign(poses)
 
 
+def test_quadratic_drag_of_a_model():
+    """v = v_t tanh(g t / v_t), v_t^2 = g / q, of a rod that falls beside one without."""
+    drags, builder = (1.5, 0.0), scene()
+    for k, q in enumerate(drags):
+        rod = replace(RodModel.of(ROD), quadratic_drag=q)
+        SolverDER.add_rod(builder, straight(9, 0.2, shift=(0.0, 0.1 * k, 0.0)), rod)
+    _, state = simulate(builder.finalize(device=DEVICE), 200, 0.002)
+    speed = -state.der.node_qd.numpy()[:, 2].reshape(2, 9)
+    terminal = np.sqrt(9.81 / drags[0])
+    assert speed[0] == pytest.approx(terminal * np.tanh(9.81 * 0.4 / terminal), rel=1e-4)
+    assert speed[1] == pytest.approx(9.81 * 0.4, rel=1e-4)
+
+
 def test_sag_of_cantilevers():
     """Tip deflection of a clamped rod of N edges under its weight: w L^4 / (8 k_b) (1 + 1/N^2).
 

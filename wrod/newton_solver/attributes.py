@@ -68,6 +68,7 @@ _ATTRIBUTES: list[tuple[str, str, Any, dict[str, Any]]] = [
     (ROD, "rod_end_body", _WHOLE, _BODY),
     (ROD, "rod_radius", _NUMBER, {}),
     (ROD, "rod_air_damping", _NUMBER, {}),
+    (ROD, "rod_quadratic_drag", _NUMBER, {}),
     (ROD, "rod_internal_damping", _NUMBER, {}),
     (EDGE, "edge_rest_length", _NUMBER, {}),
     (EDGE, "edge_stretching_stiffness", _NUMBER, {}),
@@ -165,6 +166,7 @@ def add_rod(
             "der:rod_end_body": end_body,
             "der:rod_radius": model.radius,
             "der:rod_air_damping": float(air),
+            "der:rod_quadratic_drag": model.quadratic_drag * model.weight / model.gravity,
             "der:rod_internal_damping": float(internal),
         }
     )

@@ -17,6 +17,7 @@ from newton.usd import has_applied_api_schema
 
 from wrod.errors import RodError
 from wrod.newton_solver.attributes import HOLDS
+from wrod.rods.discretisation import cells
 from wrod.rods.model import RodModel
 
 _SIMULATED, _MATERIAL = "PhysicsCurvesDeformableSimAPI", "PhysicsCurvesDeformableMaterialAPI"
@@ -128,7 +129,8 @@ def write_curves(model: newton.Model, state: newton.State, path: str | Path) -> 
         "rod_first_node", "rod_first_edge", "rod_node_count", "rod_radius", "rod_air_damping",
         "rod_internal_damping", "rod_start_hold", "rod_end_hold", "rod_start_body", "rod_end_body",
         "node_mass", "node_bending_stiffness", "node_twisting_stiffness", "node_natural_curvature",
-        "node_natural_twist", "node_inelastic", "edge_rest_length", "edge_stretching_stiffness",
+        "node_natural_twist", "node_inelastic", "node_softening", "rod_quadratic_drag",
+        "edge_rest_length", "edge_stretching_stiffness",
     )}  # fmt: skip
     names = {kind: name for name, kind in HOLDS.items()}
     for rod in range(len(arrays["rod_node_count"])):
@@ -173,18 +175,20 @@ def write_curves(model: newton.Model, state: newton.State, path: str | Path) -> 
 
 def _uniform(arrays: dict, nodes: slice, edges: slice, rod: int) -> list[float]:
     """Bending, twisting and stretching stiffness of a rod that USD has words for."""
-    past = [arrays[f"node_{name}"][nodes] for name in ("natural_curvature", "natural_twist")]
-    past.append(arrays["node_inelastic"][nodes][:, :3])
+    more = [arrays[f"node_{name}"][nodes] for name in ("natural_curvature", "natural_twist")]
+    more += [arrays["node_inelastic"][nodes][:, :3], arrays["node_softening"][nodes][:, 0]]
+    more.append(arrays["rod_quadratic_drag"][rod])
     inner = slice(nodes.start + 1, nodes.stop - 1)
     of = (
         arrays["node_bending_stiffness"][inner].ravel(),
         arrays["node_twisting_stiffness"][inner],
         arrays["edge_stretching_stiffness"][edges],
+        arrays["node_mass"][nodes] / cells(arrays["edge_rest_length"][None, edges])[0],
     )
     varies = any(np.ptp(values) > 1e-6 * np.abs(values).max() for values in of)
-    if varies or any(np.any(values != 0) for values in past):
+    if varies or any(np.any(values != 0) for values in more):
         raise RodError(
-            f"rod {rod} varies along itself or in direction, is not straight at rest, or has a "
-            "past; USD has no words for that"
+            f"rod {rod} varies along itself or in direction, is not straight at rest, softens, has "
+            "a past or quadratic drag; USD has no words for that"
         )
-    return [float(values.mean()) for values in of]
+    return [float(values.mean()) for values in of[:3]]

@@ -12,6 +12,7 @@ from wrod.newton_solver.owned import find_owned
 from wrod.newton_solver.shape_contact import ShapeContact
 from wrod.newton_solver.shapes import ModelShapes, RodPlaces
 from wrod.newton_solver.tapes import off_tape
+from wrod.rods.discretisation import cells
 from wrod.rods.state import RodState
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.compiling import compile_steps
@@ -136,9 +137,17 @@ class RodGroup:
         """What the rods of a row have in common, and the rest by nodes."""
         air = self.layout.node_values("air_damping")
         self.dynamics.air_damping.assign(common := air.min(axis=1))
-        if (air != common[:, None]).any():
-            extra = (air - common[:, None]) * self.batch.node_mass.numpy()
-            self.dynamics.set_drag(extra[..., None] * [1.0, 0.0])
+        drag = np.stack([air - common[:, None], self._quadratic_drag()], axis=2)
+        drag[..., 0] *= self.batch.node_mass.numpy()
+        if drag.any() or self.dynamics.drag is not None:
+            self.dynamics.set_drag(drag)
+
+    def _quadratic_drag(self) -> np.ndarray:
+        """(row, node) per velocity squared [kg/m]; a clamp and a cut have none."""
+        ghost, length = self.layout.ghost, self.batch.rest_length.numpy().copy()
+        length[ghost[:, 1:] | ghost[:, :-1]] = 0.0
+        length[:, list(self.layout.cuts)] = 0.0
+        return self.layout.node_values("quadratic_drag") * cells(length)
 
     def _internal_damping(self) -> np.ndarray:
         """As `Dynamics` takes it: by nodes where gradients ask for it even of rods without any."""
@@ -207,7 +216,8 @@ class RodGroup:
         air = layout.node_values("air_damping")
         bent = (batch.natural_curvature.numpy() != 0).any(axis=(1, 2))
         damped = (layout.node_values("internal_damping") != 0).any()
-        kinds = [bent, damped, (air != air[:, :1]).any()]
+        dragged = (layout.node_values("quadratic_drag") != 0).any()
+        kinds = [bent, damped, dragged, (air != air[:, :1]).any()]
         return [*kinds, *(getattr(self.model.der, name).numpy().copy() for name in names)]
 
     def refresh_elasticity(self) -> bool:
