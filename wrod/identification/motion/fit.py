@@ -302,12 +302,11 @@ class MotionLaboratory:
         damping = _DAMPING
         for _ in range(iterations):
             before = now.cost
-            trial, cost, damping = self._step(windows, model, values, now, damping)
+            trial, then, damping = self._step(windows, model, values, now, damping)
             if trial is None:
                 break
-            values = trial
-            now = self.linearise(windows, model, values)
-            if before - cost < converged * before:
+            values, now = trial, then
+            if before - now.cost < converged * before:
                 break
         return values, now
 
@@ -317,13 +316,14 @@ class MotionLaboratory:
         """`fit` in a few steps, without the linearisation that would follow the last; until one
         takes less than a share `settled` of the misfit."""
         self.misfit, damping = None, _DAMPING
-        for _ in range(steps):
-            now = self.linearise(windows, model, values)
-            trial, cost, damping = self._step(windows, model, values, now, damping)
+        now = self.linearise(windows, model, values)
+        for k in range(steps):
+            last = k == steps - 1
+            trial, then, damping = self._step(windows, model, values, now, damping, last=last)
             if trial is None:
                 break
-            values = trial
-            if now.cost - cost < settled * now.cost:
+            before, values, now = now.cost, trial, then
+            if before - now.cost < settled * before:
                 break
         return values
 
@@ -331,32 +331,39 @@ class MotionLaboratory:
         self, windows: Windows, model: Model, values: np.ndarray, now: Linearised
     ) -> np.ndarray:
         """One step of Levenberg-Marquardt; `values` where none lowers the misfit."""
-        now = replace(now, cost=self.cost(windows, model, values))
-        trial, _, _ = self._step(windows, model, values, now, _DAMPING)
+        trial, _, _ = self._step(windows, model, values, now, _DAMPING, last=True)
         return values if trial is None else trial
 
-    def _step(self, windows, model, values, now, damping):
-        """Parameters, cost and next damping of a step that lowers the cost; None without one."""
+    def _step(self, windows, model, values, now, damping, last=False):
+        """Parameters, the problem there and the next damping of a step that lowers the cost; None
+        without one. After the last step nobody asks for more of the problem than its cost.
+
+        Most first trials do: they are linearised at once, which is one run in place of two."""
         lower, upper = (np.array([getattr(p, b) for p in model.parameters]) for b in
                         ("lower", "upper"))  # fmt: skip
         # A parameter at its bound stays there while the cost falls beyond it.
         inside = ~(
             ((values <= lower) & (now.gradient > 0)) | ((values >= upper) & (now.gradient < 0))
         )
-        for _ in range(_TRIALS):
-            trial = np.clip(values + _newton(now, damping, inside), lower, upper)
+        for k in range(_TRIALS):
+            trial, at_once = np.clip(values + _newton(now, damping, inside), lower, upper), k == 0
             try:
-                cost = self.cost(windows, model, trial)
+                if at_once and not last:
+                    then = self.linearise(windows, model, trial)
+                else:
+                    then = replace(now, cost=self.cost(windows, model, trial))
             except RodError:  # no rod can be so
-                cost = np.inf
-            if cost < now.cost:
+                then = replace(now, cost=np.inf)
+            if then.cost < now.cost:
                 step = trial - values
                 promised = -(now.gradient @ step + 0.5 * step @ now.hessian @ step)
-                if now.cost - cost > 0.5 * promised:
+                if now.cost - then.cost > 0.5 * promised:
                     damping = max(damping / _HARDER, 1e-6)
-                return trial, cost, damping
+                if not (at_once or last):
+                    then = self.linearise(windows, model, trial)
+                return trial, then, damping
             damping *= _HARDER
-        return None, now.cost, damping
+        return None, now, damping
 
 
 def _newton(at: Linearised, damping: float, inside: np.ndarray) -> np.ndarray:
