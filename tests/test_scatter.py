@@ -16,8 +16,8 @@ from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.noise import NoiseModel, _Restricted, estimate
 from wrod.identification.clamped.scatter import what_is_left
-from wrod.identification.clamped.selection import _too_little, _weighed_anew
-from wrod.identification.clamped.steps import base_fit
+from wrod.identification.clamped.selection import _weighed_anew
+from wrod.identification.clamped.steps import base_fit, too_little
 from wrod.identification.clamped.trace import KNOTS, ProbedProfile, trace
 from wrod.identification.effect import Model, effects
 
@@ -137,12 +137,12 @@ def test_a_small_effect_beside_scatter_is_asked_for_its_likelihood():
     empty = replace(empty, chi_squared=empty.residual_count + 40.0)
     twist = Model((effects()["twist_stiffness"],))
     better = replace(empty, model=twist, values=np.ones(1), chi_squared=empty.chi_squared - 32.0)
-    assert "noise alone varies by" in _too_little(lab, empty, empty, better)
+    assert "noise alone varies by" in too_little(lab, empty, empty, better)
     before = lab.noise, lab.scatter_rates
     try:
         lab.set_noise(*estimate(lab, Model(), np.zeros(0)))
-        assert _too_little(lab, empty, empty, better) == ""
+        assert too_little(lab, empty, empty, better) == ""
         worse = replace(better, chi_squared=empty.chi_squared - 12.0)
-        assert "less than 10" in _too_little(lab, empty, empty, worse)
+        assert "less than 10" in too_little(lab, empty, empty, worse)
     finally:
         lab.set_noise(*before)

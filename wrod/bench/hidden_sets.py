@@ -13,7 +13,7 @@ from wrod.bench.continuous_rod import Experiment, labels, measured
 from wrod.bench.hidden_effects import TRIALS, Hidden
 from wrod.bench.hidden_noise import with_noise
 from wrod.bench.hidden_profiles import PROFILES
-from wrod.bench.hidden_strange import STRANGE
+from wrod.bench.hidden_strange import CHANGING, STRANGE
 from wrod.errors import DataError
 from wrod.rods.material import RodMaterial
 
@@ -82,12 +82,13 @@ BUILT: dict[str, Callable] = {
 }
 # Softenings by another law than the plug-in's.
 OTHER_LAWS = (hidden_in.softening_by_tanh.__name__, hidden_in.softening_by_yield.__name__)
+IN_ORDER: dict[str, Callable] = {f.__name__: f for f in CHANGING}
 UNCOVERED: dict[str, Callable] = {
     f.__name__: f for f in (hidden_in.sticking_roll, hidden_in.shaking_camera, *STRANGE)
 }
 # What says of them as much as can be said: effects, or what is another one in each trial; prints.
 NEAR: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    hidden_in.sticking_roll.__name__: (("grip_rotation",), ()),
+    hidden_in.sticking_roll.__name__: (("grip_roll", "clamp_roll"), ()),
     hidden_in.shaking_camera.__name__: (("camera_offset",), ()),
     **{f.__name__: near for f, near in STRANGE.items()},
     **dict.fromkeys(PROFILES, (("stretch", "local_bend"), ())),
@@ -109,7 +110,7 @@ def _combined(parts: list[Hidden]) -> Hidden:
 
 def cases() -> dict[str, Callable[[np.random.Generator, RodMaterial], Hidden]]:
     """Every case by name: nothing (three rods), effects, pairs, quantities that change along the
-    rod, and what no plug-in covers."""
+    rod or from trial to trial, and what no plug-in covers."""
     pairs = {
         f"{a.__name__} + {b.__name__}": lambda rng, rod, a=a, b=b: _combined(
             [a(rng, rod), b(rng, rod)]
@@ -117,7 +118,7 @@ def cases() -> dict[str, Callable[[np.random.Generator, RodMaterial], Hidden]]:
         for a, b in PAIRS
     }
     nothing = {f"none {k}": hidden_in.none for k in (1, 2, 3)}
-    return {**nothing, **KNOWN, **pairs, **BUILT, **PROFILES, **UNCOVERED}
+    return {**nothing, **KNOWN, **pairs, **BUILT, **PROFILES, **IN_ORDER, **UNCOVERED}
 
 
 def hidden_set(name: str, seed: int, noise: str = "white") -> tuple[dict[str, np.ndarray], Hidden]:

@@ -1,7 +1,8 @@
-"""Clamped rods in which something is wrong that no effect of `identify` describes.
+"""Clamped rods that change while they are measured, or in which something is wrong that no effect
+of `identify` describes.
 
-Nothing here has a plug-in, nor a form that is built from a print. What may be said of such a set is
-that it is not explained, or an effect at the right place of the right kind.
+Nothing here has a plug-in. What changes in order is built from a print. What may be said of the
+others is that they are not explained, or an effect at the right place of the right kind.
 """
 
 from __future__ import annotations
@@ -10,19 +11,24 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wrod.bench.continuous_rod import Experiment, constant
-from wrod.bench.hidden_effects import TRIALS, Hidden, _between, _direction
+from wrod.bench.continuous_rod import Experiment, constant, tangent_turn
+from wrod.bench.hidden_effects import TRIALS, Hidden, _between, _direction, _in_plane, _vector
 
 
 def warming(rng, rod):
     """The rod softens while it is measured, in every way alike, from trial to trial."""
     loss, pace = _between(rng, 0.3, 0.5), _between(rng, 6.0, 12.0)
 
-    def each(trial, past):
-        left = 1.0 - loss * (1.0 - np.exp(-trial / pace))
-        return {"bending": constant(left, left), "twisting": left, "stretching": left}
+    def left(trial):
+        return 1.0 - loss * (1.0 - np.exp(-trial / pace))
 
-    return Hidden(Experiment(each=each), {})
+    def each(trial, past):
+        own = left(trial)
+        return {"bending": constant(own, own), "twisting": own, "stretching": own}
+
+    change = left(TRIALS - 1) / left(0) - 1.0
+    truth = _vector("drift_of_stiffness", ("change_of_stiffness_ratio",), [change])
+    return Hidden(Experiment(each=each), truth)
 
 
 def moody(rng, rod):
@@ -41,11 +47,39 @@ def drying(rng, rod):
     """A wet rope: its weight falls from trial to trial."""
     water, pace = _between(rng, 0.4, 0.7), _between(rng, 6.0, 12.0)
     line = rod.weight / rod.gravity
+
+    def left(trial):
+        return water * np.exp(-trial / pace)
+
+    change = (1.0 + left(TRIALS - 1)) / (1.0 + left(0)) - 1.0
     return Hidden(
-        Experiment(
-            each=lambda trial, past: {"mass": constant(water * np.exp(-trial / pace) * line)}
-        ),
-        {},
+        Experiment(each=lambda trial, past: {"mass": constant(left(trial) * line)}),
+        _vector("drift_of_density", ("change_of_density_ratio",), [change]),
+    )
+
+
+def unwinding(rng, rod):
+    """A rod off a spool loses its bend, by the logarithm of time."""
+    bend, loss = _in_plane(rng, 0.3, 0.55) / rod.gravito_bending_length, _between(rng, 0.3, 0.6)
+
+    def left(trial):
+        return 1.0 - loss * np.log1p(trial) / np.log(TRIALS)
+
+    keys = "change_of_curvature_1", "change_of_curvature_2"
+    return Hidden(
+        Experiment(each=lambda trial, past: {"curvature": constant(*(left(trial) * bend))}),
+        _vector("drift_of_natural_curvature", keys, -loss * tangent_turn(bend)),
+    )
+
+
+def sinking_camera(rng, rod):
+    """A tripod gives way, as much from each trial to the next."""
+    way = _direction(rng) * _between(rng, 0.004, 0.008)
+    gone = np.linspace(0.0, 1.0, TRIALS)[:, None, None]
+    keys = tuple(f"change_of_offset_{axis}" for axis in "xyz")
+    return Hidden(
+        Experiment(see=lambda position, frame: position + gone * way),
+        _vector("drift_of_camera_offset", keys, way),
     )
 
 
@@ -59,7 +93,7 @@ def creep(rng, rod):
         s, curvature = past
         return {"curvature": lambda at: kept * np.stack([np.interp(at, s, c) for c in curvature])}
 
-    return Hidden(Experiment(each=each), {})
+    return Hidden(Experiment(each=each), _vector("memory", ("kept_share",), [kept]))
 
 
 def loose_clamp(rng, rod):
@@ -134,12 +168,11 @@ def shelf(rng, rod):
     return Hidden(Experiment(drag=force), {})
 
 
-# For each kind: names that say what it is as far as they can, prints that are near the truth.
+# What comes or goes in the order of the trials, by one law or another.
+CHANGING: tuple[Callable, ...] = (warming, drying, unwinding, sinking_camera, creep)
+# For each other kind: names that say what it is as far as they can, prints that are near the truth.
 STRANGE: dict[Callable, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    warming: (("stiffness",), ("moment_with_curvature",)),
     moody: (("stiffness",), ("moment_with_curvature",)),
-    drying: (("density",), ("force_in_laboratory",)),
-    creep: ((), ("moment_in_material", "memory")),
     loose_clamp: (("clamp_rotation",), ("clamp_end",)),
     soft_grip: (("grip_rotation",), ("grip_end",)),
     sliding_markers: (("marker_offset",), ("markers",)),

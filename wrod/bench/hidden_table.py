@@ -224,7 +224,7 @@ def lines(rows: Sequence[dict]) -> list[str]:
 def summary(rows: Sequence[dict]) -> list[str]:
     """How often each outcome came, for each kind of case."""
     from wrod.bench.hidden_profiles import PROFILES
-    from wrod.bench.hidden_sets import BUILT, KNOWN, UNCOVERED
+    from wrod.bench.hidden_sets import BUILT, IN_ORDER, KNOWN, UNCOVERED
 
     def kind(row):
         name = row["set"]
@@ -232,6 +232,8 @@ def summary(rows: Sequence[dict]) -> list[str]:
             return "built from its print"
         if name in PROFILES:
             return "a profile along the rod"
+        if name in IN_ORDER:
+            return "changes in order"
         if name in UNCOVERED:
             return "no plug-in covers it"
         if name in KNOWN:
@@ -245,6 +247,7 @@ def summary(rows: Sequence[dict]) -> list[str]:
         "two effects",
         "built from its print",
         "a profile along the rod",
+        "changes in order",
         "no plug-in covers it",
     ):
         own = [r for r in rows if kind(r) == title and r["outcome"] != "not made"]
@@ -257,7 +260,8 @@ def summary(rows: Sequence[dict]) -> list[str]:
             part = [r["outcome"] for r in own if r["noise"] == noise]
             said = ", ".join(f"{o} {part.count(o)}" for o in OUTCOMES if o in part)
             text.append(f"{'':21}     {len(part):3} of them with {noise}: {said}")
-        counted = [held(r) for r in own if "truth" in r and r["set"] in {**BUILT, **PROFILES}]
+        intervals = {**BUILT, **PROFILES, **IN_ORDER}
+        counted = [held(r) for r in own if "truth" in r and r["set"] in intervals]
         inside, of = np.sum(counted, axis=0) if counted else (0, 0)
         if of:
             share = f"{100 * inside / of:.0f} %"

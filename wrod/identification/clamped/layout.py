@@ -22,36 +22,44 @@ def batch_arrays(setups: Sequence[ClampedSetup]) -> dict[str, np.ndarray]:
     """Setups laid out for the batch, as its arguments: candidate x trial in the leading axis,
     ghosts included; complex if they are."""
     rows: defaultdict[str, list] = defaultdict(list)
-    for s in setups:
-        n = len(s.fraction) - 1
-        h = s.length / n
-        share = _free_share(s)
-        here = s.on_mesh(np.full(n, h), share)
-        here["bending_stiffness"] = (1.0 - s.law[:, 1].sum()) * here["bending_stiffness"]
-        for name, value in here.items():
-            rows[name].append(_with_ghosts(value))
-        rows["node_mass"].append(np.pad(s.line_mass * h * share + s.node_mass, 1))
-        rows["gravity"].append(s.gravity)
-    trials = len(setups[0].clamp_position)
-    return {name: np.repeat(np.stack(v), trials, axis=0) for name, v in rows.items()}
+    for setup in setups:
+        own: defaultdict[str, list] = defaultdict(list)
+        for s in setup.rods():
+            n = len(s.fraction) - 1
+            h = s.length / n
+            share = _free_share(s)
+            here = s.on_mesh(np.full(n, h), share)
+            here["bending_stiffness"] = (1.0 - s.law[:, 1].sum()) * here["bending_stiffness"]
+            for name, value in here.items():
+                own[name].append(_with_ghosts(value))
+            own["node_mass"].append(np.pad(s.line_mass * h * share + s.node_mass, 1))
+            own["gravity"].append(s.gravity)
+        for name, values in own.items():
+            rows[name].append(_of_every_trial(setup, values))
+    return {name: np.concatenate(v) for name, v in rows.items()}
+
+
+def _of_every_trial(setup: ClampedSetup, values: list[np.ndarray]) -> np.ndarray:
+    """(T, ...) values of each trial's rod, of the same one where they are one."""
+    return np.repeat(np.stack(values), len(setup.trials) // len(values), axis=0)
 
 
 def law_layers(setups: Sequence[ClampedSetup]) -> list[tuple[np.ndarray, np.ndarray]]:
     """(stiffness, softening), each (rod, node, 2), of every term of the setups' laws of bending;
     complex if they are. A setup of fewer terms than another has terms of next to no stiffness."""
-    trials = len(setups[0].clamp_position)
     layers = []
     for j in range(max(len(s.law) for s in setups)):
         terms = []
-        for s in setups:
-            c, p = s.law[j] if j < len(s.law) else (0.0, 0.0)
-            softening = np.full((len(s.fraction), 2), [c, 0.0])
-            bending = (p + _NO_LAYER) * s.bending
-            here = of_free_part(_free_share(s), bending_stiffness=bending, softening=softening)
-            terms.append([_with_ghosts(value) for value in here.values()])
-        stiffness, softening = (
-            np.repeat(np.stack(t), trials, axis=0) for t in zip(*terms, strict=True)
-        )
+        for setup in setups:
+            c, p = setup.law[j] if j < len(setup.law) else (0.0, 0.0)
+            softening = np.full((len(setup.fraction), 2), [c, 0.0])
+            own = []
+            for s in setup.rods():
+                bending = (p + _NO_LAYER) * s.bending
+                here = of_free_part(_free_share(s), bending_stiffness=bending, softening=softening)
+                own.append([_with_ghosts(value) for value in here.values()])
+            terms.append([_of_every_trial(setup, list(v)) for v in zip(*own, strict=True)])
+        stiffness, softening = map(np.concatenate, zip(*terms, strict=True))
         layers.append((stiffness, softening))
     return layers
 

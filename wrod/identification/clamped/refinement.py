@@ -20,8 +20,10 @@ from scipy.special import logsumexp
 
 from wrod.errors import DataError
 from wrod.identification.clamped.described import Described
+from wrod.identification.clamped.drift import Drift
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.memory import Memory
 from wrod.identification.clamped.noise import estimate
 from wrod.identification.clamped.profiles import (
     KINDS,
@@ -177,10 +179,11 @@ def profile_of(laboratory: Laboratory, singles: Sequence[Fit], found: Found) -> 
 
 
 def _kind_of(laboratory: Laboratory, effect: Effect) -> str | None:
-    """The quantity that an effect changes, if nothing else and all along the rod."""
+    """The quantity that an effect changes, if nothing else, all along the rod and in every trial
+    alike."""
     if isinstance(effect, ProfileEffect):
         return effect.kind
-    if not isinstance(effect, Described):
+    if not isinstance(effect, (Described, Drift, Memory)):
         fields = changed_by(laboratory, [effect])
         for kind in _QUANTITIES:
             first, *others = KINDS[kind].fields

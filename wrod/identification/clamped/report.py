@@ -192,13 +192,13 @@ def _reason(selection: Selection, prints: Sequence[Print]) -> str:
 
 
 def _found_rod(m: ClampedMeasurements, laboratory: Laboratory, fit: Fit) -> FoundRod:
-    """The free part of the rod between the clamps, arc length from clamp A."""
-    base = ClampedSetup.base(m, m.test[:1], laboratory.edge_count)
+    """The free part of the rod between the clamps, arc length from clamp A, as it was at last."""
+    base = ClampedSetup.base(m, laboratory.trials[-1:], laboratory.edge_count)
     like = RodModel.of(m.material)
 
     def read(setup: ClampedSetup) -> RodModel:
         # What slipped into or out of a clamp is still the same rod.
-        return rod_of(setup, setup.arc_length, like=like)
+        return rod_of(setup.rods()[0], setup.arc_length, like=like)
 
     return found_rod(base, fit.model, fit.values, read)
 

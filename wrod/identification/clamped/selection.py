@@ -23,15 +23,15 @@ import numpy as np
 from wrod.errors import DataError
 from wrod.identification.clamped.clock import Clock, OutOfTime
 from wrod.identification.clamped.described import Described
+from wrod.identification.clamped.drift import with_drift
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.moment_law import MomentLaw, moment_law_of
-from wrod.identification.clamped.noise import estimate
+from wrod.identification.clamped.noise import NoiseModel, estimate
 from wrod.identification.clamped.profiles import ProfileEffect, built_effects
 from wrod.identification.clamped.refinement import EVIDENCE, profile_of, refined, with_profile
 from wrod.identification.clamped.scatter import what_is_left
 from wrod.identification.clamped.steps import (
-    FLUCTUATION,
     base_fit,
     best_of_each,
     evident,
@@ -39,13 +39,14 @@ from wrod.identification.clamped.steps import (
     extensions,
     has_profile,
     held_out_error,
+    judged,
     leaner,
     pairs_beside,
     pruned,
     reordered,
+    too_little,
 )
 from wrod.identification.clamped.verdict import (
-    AT_NOISE,
     BIC_MARGIN,
     Round,
     Selection,
@@ -55,7 +56,6 @@ from wrod.identification.clamped.verdict import (
 )
 from wrod.identification.effect import Effect
 
-LEAST_SHARE = 0.005
 MOST_EFFECTS = 3
 _FINE = 4 / 3
 # Laws of bending, and effects that one of unknown form may be taken for.
@@ -79,7 +79,8 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, build: bool = Fa
         if build:
             final, held_out, doubts = refined(laboratory, final, rounds, held_out)
         laboratory.clock.extend()
-        return judge(laboratory, final, base_fit(laboratory), rounds, held_out, doubts)
+        found = judge(laboratory, final, base_fit(laboratory), rounds, held_out, doubts)
+        return _or_drifting(laboratory, candidates, final, found) if build else found
     except OutOfTime:
         return _so_far(laboratory)
     finally:
@@ -94,7 +95,7 @@ def _so_far(laboratory: Laboratory) -> Selection:
     best = empty
     for count in range(1, MOST_EFFECTS + 1):
         own = [f for f in fits if len(f.model.effects) == count]
-        if own and not _too_little(laboratory, empty, best, own[0]):
+        if own and not too_little(laboratory, empty, best, own[0]):
             best = own[0]
     alone = [f for f in fits if len(f.model.effects) == 1]
     gains = [empty.bic - f.bic for f in alone]
@@ -112,7 +113,7 @@ def _chosen(laboratory: Laboratory, candidates: list[Effect], build: bool):
     """(model, rounds, held out) of the whole search."""
     pool, tried_to_build, before = list(candidates), not build, []
     for _ in range(_NOISE_PASSES):
-        opening = _opening(laboratory, pool, before)
+        opening = _opening(laboratory, pool, before, build)
         if tried_to_build or opening.reaches_noise:
             current, rounds, held_out = _search(laboratory, pool, opening)
             if build:
@@ -144,8 +145,11 @@ class _Opening:
     reaches_noise: bool
 
 
-def _opening(laboratory: Laboratory, pool: list[Effect], before: list[Fit]) -> _Opening:
-    """The first fits, and a law of unknown form in the `pool` where a known one comes nearest.
+def _opening(
+    laboratory: Laboratory, pool: list[Effect], before: list[Fit], build: bool
+) -> _Opening:
+    """The first fits, and in the `pool` a law of unknown form where a known one comes nearest, or
+    what comes or goes while it is measured where that reaches the noise.
 
     Args:
         before: what was fitted with other noise, to start from.
@@ -163,6 +167,10 @@ def _opening(laboratory: Laboratory, pool: list[Effect], before: list[Fit]) -> _
         near = _reaches_noise(laboratory, singles[0])
     if near:
         return _Opening(singles, [], True)
+    drifting = with_drift(laboratory, pool, empty) if build else []
+    if drifting and _reaches_noise(laboratory, drifting[0]):
+        pool += drifting[0].model.effects
+        return _Opening(best_of_each([*singles, *drifting]), [], True)
     pairs = best_of_each(pairs_beside(laboratory, singles[0], pool, joined=True, before=before))
     return _Opening(singles, pairs, bool(pairs) and _reaches_noise(laboratory, pairs[0]))
 
@@ -176,11 +184,16 @@ def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, k
     Args:
         known: what a search among the known effects has found; None: it has not been made.
     """
-    built = _built(laboratory, opening.singles)
+    alone, empty = opening.singles, base_fit(laboratory)
+    if not known:
+        also = with_drift(laboratory, pool, alone[0])
+        if also and _reaches_noise(laboratory, also[0]):
+            pool += [e for e in also[0].model.effects if e not in pool]
+            return _search(laboratory, pool, _Opening(alone, [*opening.pairs, also[0]], True))
+    built = _built(laboratory, alone)
     if all(e.name != MomentLaw.name for e in pool):
         built.append(moment_law_of(laboratory))
     pool += built
-    alone, empty = opening.singles, base_fit(laboratory)
     mark = min(f.chi_squared for f in [*alone, *opening.pairs])
     singles = extensions(laboratory, empty, built, rival=mark)
     few = [f for f in singles if isinstance(f.model.effects[0], (Described, MomentLaw))]
@@ -194,6 +207,32 @@ def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, k
     found = _search(laboratory, pool, together)
     if known and known[0].bic <= found[0].bic + BIC_MARGIN:
         return known
+    return found
+
+
+def _or_drifting(laboratory: Laboratory, candidates, final: Fit, found: Selection) -> Selection:
+    """The verdict on a model of what comes or goes, where something is found to change and that is
+    what does; else the one that is there."""
+    if not found.changing:
+        return found
+    before = laboratory.noise, laboratory.scatter_rates
+    laboratory.set_noise(NoiseModel())
+    empty = base_fit(laboratory)
+    few = 0 < len(final.model.effects) < MOST_EFFECTS and not has_profile(final.model)
+    fits = with_drift(laboratory, candidates, empty)
+    fits = best_of_each([*fits, *(with_drift(laboratory, candidates, final) if few else [])])
+    if fits:
+        base = held_out_error(laboratory, empty)
+        step, ahead = judged(laboratory, empty, empty, fits[0], fits, base)
+        if step.accepted:
+            laboratory.refine(fits[0].model, fits[0].values)
+            laboratory.set_noise(*estimate(laboratory, fits[0].model, fits[0].values))
+            best = _weighed_anew(laboratory, fits[0])
+            steps, held_out = [*found.rounds, step], (base[0], ahead[0])
+            again = judge(laboratory, best, base_fit(laboratory), steps, held_out)
+            if again.verdict == "explained" and again.fit.model.effects:
+                return again
+    laboratory.set_noise(*before)
     return found
 
 
@@ -219,7 +258,7 @@ def _or_built(laboratory: Laboratory, opening: _Opening, current: Fit, rounds, h
     fits = extensions(laboratory, empty, built, rival=current.chi_squared)
     if not fits or fits[0].bic > current.bic - BIC_MARGIN:
         return current, held_out
-    step, ahead = _judged(laboratory, empty, empty, fits[0], fits, (np.inf, np.inf))
+    step, ahead = judged(laboratory, empty, empty, fits[0], fits, (np.inf, np.inf))
     if step.accepted is None or ahead[1] >= held_out_error(laboratory, current)[1]:
         return current, held_out
     rounds.append(step)
@@ -295,7 +334,7 @@ def _search(laboratory: Laboratory, candidates, opening: _Opening | None = None)
         if len(best.model.effects) > 1 and current.bic - best.bic >= BIC_MARGIN:
             best, others = exchanged(laboratory, best, candidates)
             fits += others
-        step, ahead = _judged(laboratory, empty, current, best, best_of_each(fits), held_out)
+        step, ahead = judged(laboratory, empty, current, best, best_of_each(fits), held_out)
         rounds.append(step)
         if step.accepted is None:
             break
@@ -314,44 +353,6 @@ def _search(laboratory: Laboratory, candidates, opening: _Opening | None = None)
     return current, rounds, (base_held_out[0], held_out[0])
 
 
-def _judged(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit, fits, held_out):
-    """(step from a model to the best of its extensions, its held-out error): see the module."""
-    gain = current.bic - best.bic
-    reason, ahead = _too_little(laboratory, empty, current, best), held_out
-    if not reason:
-        try:
-            ahead = held_out_error(laboratory, best)
-        except DataError:
-            reason = "a trial held out has no equilibrium with it"
-        if ahead[1] >= held_out[1]:
-            reason = reason or "trials held out get worse"
-    said = reason or f"BIC falls by {gain:.0f}, held-out error to {1e3 * ahead[0]:.3f} mm"
-    gains, accepted = [current.bic - f.bic for f in fits], None if reason else best.model.names
-    return Round(current.model.names, best, fits, gains, accepted, said), ahead
-
-
-def _too_little(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit) -> str:
-    """Why what a model takes of the train trials' squares beyond another is none of its effect's;
-    nothing where it is enough."""
-    excess = max(empty.chi_squared - empty.residual_count, 0.0)
-    fluctuation = np.sqrt(2.0 * empty.residual_count)
-    gain = current.bic - best.bic
-    taken = current.chi_squared - best.chi_squared
-    left = current.chi_squared - current.residual_count
-    share = taken / max(excess, fluctuation)
-    # Where much is left to explain, an effect beside a far larger one may be small.
-    more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
-    if gain < BIC_MARGIN:
-        return f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
-    # Scatter that was estimated beside it takes most of the squares of a small effect away.
-    scattered = any(laboratory.noise.scatter)
-    if not scattered and excess < FLUCTUATION * fluctuation and taken < fluctuation:
-        return f"takes {taken:.0f} squares, noise alone varies by {fluctuation:.0f}"
-    if share < LEAST_SHARE and not more:
-        return f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
-    return ""
-
-
 def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[Round], held_out):
     """(model, held-out error): the best profile alone, where it does better than what was found."""
     alone = [f for f in rounds[0].fits if has_profile(f.model)] if rounds else []
@@ -368,7 +369,7 @@ def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[R
         less, gain, least = empty, evident(current) - evident(best), 2.0 * EVIDENCE
     if gain < least:
         return current, held_out
-    step, ahead = _judged(laboratory, empty, less, best, alone, held_out)
+    step, ahead = judged(laboratory, empty, less, best, alone, held_out)
     rounds.append(step)
     return (best, ahead) if step.accepted else (current, held_out)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,12 +11,23 @@ import numpy as np
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.setup import RodSetup
 
+# What has a row for each trial anyway, and arrays of the rod that may have one.
+_OF_TRIALS = ("force", "clamp_position", "clamp_rotation", "grip_position", "grip_rotation")
+_OF_THE_ROD = {
+    "bending": 2, "twisting": 1, "stretching": 1, "natural_curvature": 2, "natural_twist": 1,
+    "line_mass": 1, "gravity": 1,
+}  # fmt: skip
+
 
 @dataclass
 class ClampedSetup(RodSetup):
     """A rod of n edges between the clamps in T trials, and how it is held and seen.
 
+    Arrays of a rod that is another one in each trial have one row of them more, (T, ...).
+
     Attributes:
+        trials: (T,) their numbers in the order in which they were taken.
+        when: (T,) the same as a share of the whole series, 0 at its first trial, 1 at its last.
         length: free length between the clamps [m].
         law: (J, 2), of a moment M = B k (1 - sum_j p_j c_j k^2 / (1 + c_j k^2)) besides softening:
             c [m^2] and p of every term; no rows: none.
@@ -29,6 +42,8 @@ class ClampedSetup(RodSetup):
             depend on the place in the laboratory (real) [m].
     """
 
+    trials: np.ndarray
+    when: np.ndarray
     length: complex
     law: np.ndarray
     coupling: np.ndarray
@@ -54,6 +69,8 @@ class ClampedSetup(RodSetup):
             rod.stretching_stiffness,
             rod.weight / rod.gravity,
             rod.gravity,
+            trials=trials,
+            when=trials / max(m.trial_count - 1, 1),
             length=rod.length,
             law=np.zeros((0, 2)),
             coupling=np.zeros(2),
@@ -71,6 +88,27 @@ class ClampedSetup(RodSetup):
     def arc_length(self) -> np.ndarray:
         """(n + 1,) unstretched arc length of each node [m]."""
         return self.fraction * self.length
+
+    def rods(self) -> list[ClampedSetup]:
+        """The set-up of each trial's rod, or only one where all have the same."""
+        apart = [n for n, axes in _OF_THE_ROD.items() if np.ndim(getattr(self, n)) > axes]
+        if not apart:
+            return [self]
+        rods = [copy.copy(self) for _ in self.trials]
+        for name in apart:
+            for rod, own in zip(rods, getattr(self, name), strict=True):
+                setattr(rod, name, own)
+        return rods
+
+    def put_together(self, each: Sequence[ClampedSetup]) -> None:
+        """Be in every trial as the one of `each` (T,) is that stands for it, a rod of `rods`."""
+        for name in (*_OF_THE_ROD, *_OF_TRIALS):
+            parts, known = [getattr(one, name) for one in each], getattr(self, name)
+            if all(part is known for part in parts):
+                continue
+            if name in _OF_TRIALS:
+                parts = [part[min(t, len(part) - 1)] for t, part in enumerate(parts)]
+            setattr(self, name, np.stack(parts))
 
     def push(self, line_force: np.ndarray) -> None:
         """Loads the rod with a dead force per length, (n + 1, 3) or one of each trial [N/m]."""

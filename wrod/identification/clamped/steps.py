@@ -12,10 +12,11 @@ from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.pairs import likely_pairs
 from wrod.identification.clamped.profiles import ProfileEffect
 from wrod.identification.clamped.scatter import OUTWEIGHS
-from wrod.identification.clamped.verdict import BIC_MARGIN, Round
+from wrod.identification.clamped.verdict import AT_NOISE, BIC_MARGIN, Round
 from wrod.identification.effect import Effect, Model
 
 _FOLDS = 4
+LEAST_SHARE = 0.005
 # Pairs to fit, and how many standard deviations of chi squared deserve them.
 _PAIRS, FLUCTUATION = 12, 5.0
 # Leaner pairs to fit in the place of a chosen one, out of so many by superposition.
@@ -322,3 +323,41 @@ def held_out_error(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
         chi_squared += float((laboratory.whiten(error, left) ** 2).sum())
     count = laboratory.read[trials, :markers].sum()
     return float(np.sqrt(3.0 * squares / count)), chi_squared
+
+
+def judged(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit, fits, held_out):
+    """(step from a model to the best of its extensions, its held-out error): see the module."""
+    gain = current.bic - best.bic
+    reason, ahead = too_little(laboratory, empty, current, best), held_out
+    if not reason:
+        try:
+            ahead = held_out_error(laboratory, best)
+        except DataError:
+            reason = "a trial held out has no equilibrium with it"
+        if ahead[1] >= held_out[1]:
+            reason = reason or "trials held out get worse"
+    said = reason or f"BIC falls by {gain:.0f}, held-out error to {1e3 * ahead[0]:.3f} mm"
+    gains, accepted = [current.bic - f.bic for f in fits], None if reason else best.model.names
+    return Round(current.model.names, best, fits, gains, accepted, said), ahead
+
+
+def too_little(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit) -> str:
+    """Why what a model takes of the train trials' squares beyond another is none of its effect's;
+    nothing where it is enough."""
+    excess = max(empty.chi_squared - empty.residual_count, 0.0)
+    fluctuation = np.sqrt(2.0 * empty.residual_count)
+    gain = current.bic - best.bic
+    taken = current.chi_squared - best.chi_squared
+    left = current.chi_squared - current.residual_count
+    share = taken / max(excess, fluctuation)
+    # Where much is left to explain, an effect beside a far larger one may be small.
+    more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
+    if gain < BIC_MARGIN:
+        return f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
+    # Scatter that was estimated beside it takes most of the squares of a small effect away.
+    scattered = any(laboratory.noise.scatter)
+    if not scattered and excess < FLUCTUATION * fluctuation and taken < fluctuation:
+        return f"takes {taken:.0f} squares, noise alone varies by {fluctuation:.0f}"
+    if share < LEAST_SHARE and not more:
+        return f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
+    return ""

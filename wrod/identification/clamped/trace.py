@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.memory import Memory, bent_before
 from wrod.identification.effect import Effect, Model, Parameter, effects
 from wrod.rods.rotation import node_frames
 
@@ -23,9 +24,7 @@ _AMPLITUDES = np.logspace(-4, 3, 43)
 SEEN = 5.0
 # Evidence that it is another one in each trial: so many numbers take what a law leaves wrong, too.
 _ANEW = 2.0 * SEEN
-# What a rod keeps of the bend that the trial before gave it, and how large that may be.
-MEMORY = "memory"
-_MEMORY, _KEPT = "share that the rod keeps of the curvature of the trial before", 0.2
+MEMORY = Memory.name
 # Squares beyond noise's, in standard deviations of those, that are an excess.
 _EXCESS = 3.0
 
@@ -191,9 +190,12 @@ def trace(
         return columns - own @ (own.T @ columns)
 
     prints = []
-    directors, tangents = solver.batch.material_directors(), solver.batch.state.tangent.numpy()
-    frames = node_frames(directors[:, :, 0], tangents)[:, 1:-1]
-    for name, title, unit, points_to, probe, components in _plans(frames, m.material.weight):
+    frames, tangents = _frames_of(solver)
+    plans = _plans(frames, m.material.weight)
+    kept = _memory_of(frames, tangents, laboratory)
+    if MEMORY not in beside.names:
+        plans.append((MEMORY, kept.title, "", (MEMORY,), Model((kept,)), ("share",)))
+    for name, title, unit, points_to, probe, components in plans:
         scale = np.array([p.scale for p in probe.parameters])
         together = Model((*beside.effects, *probe.effects))
         _, rates = laboratory.jacobian(together, np.append(values, np.zeros(len(scale))))
@@ -212,22 +214,23 @@ def trace(
             value, stderr, by = (a.reshape(KNOTS, -1) for a in (value, stderr, by))
         said = (name, title, unit, points_to, evidence, share, arc_length, components)
         prints.append(Print(*said, value, stderr, drift, change, by, anew * profile))
-        if name == "moment_in_material":
-            kept = _KEPT * _bent_before(frames, m)[trials]
-            evidence, _, share, value, stderr = infer(free(rates @ kept), residual, np.eye(1))
-            own_said = (MEMORY, _MEMORY, "", (), evidence, share, None, ("share",))
-            prints.append(Print(*own_said, _KEPT * value, _KEPT * stderr))
     return sorted(prints, key=lambda p: -p.evidence)
 
 
-def _bent_before(frames: np.ndarray, m) -> np.ndarray:
-    """(T, 2 KNOTS, 1) curvature along (m1, m2) at the knots in the trial before each; none before
-    the first. `frames` as in `_plans`."""
-    turning = np.gradient(frames[..., 2], m.material.length / (frames.shape[1] - 1), axis=1)
-    curvature = np.einsum("tni,tnij->tnj", turning, frames[..., :2])
-    at_knots = np.linalg.pinv(hats(np.linspace(0.0, 1.0, frames.shape[1]))) @ curvature
-    at_knots = at_knots.reshape(len(frames), -1, 1)
-    return np.concatenate([np.zeros_like(at_knots[:1]), at_knots[:-1]])
+def memory_of(laboratory: Laboratory, model: Model, values: np.ndarray) -> Memory:
+    """The effect by which a rod keeps some of its curvature in the trial before, as a model has
+    it there."""
+    return _memory_of(*_frames_of(laboratory.solver_at(model, values)[0]), laboratory)
+
+
+def _frames_of(solver) -> tuple[np.ndarray, np.ndarray]:
+    """((T, node, 3, 3) material frames at the nodes between the clamps, (T, edge, 3) tangents)."""
+    directors, tangents = solver.batch.material_directors(), solver.batch.state.tangent.numpy()
+    return node_frames(directors[:, :, 0], tangents)[:, 1:-1], tangents
+
+
+def _memory_of(frames, tangents, laboratory: Laboratory) -> Memory:
+    return Memory(bent_before(frames, tangents, laboratory.measurements.material.length))
 
 
 def _apart(rates: np.ndarray) -> np.ndarray:
