@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from wrod.identification.clamped.noise import NoiseModel, _Restricted, outliers_of, whiteners
+from wrod.identification.clamped.noise import (
+    COLUMNS,
+    NoiseModel,
+    _Restricted,
+    outliers_of,
+    whiteners,
+)
 
 ARC = np.linspace(0.0, 0.5, 31)
 TRIALS, READINGS = 16, 99
@@ -34,7 +40,7 @@ def drawn(noise: NoiseModel, seed: int) -> NoiseModel:
     root = np.linalg.cholesky(noise.markers(ARC) + 1e-12 * np.eye(31))
     markers = residual[:, :93].reshape(TRIALS, 31, 3)
     residual[:, :93] = np.einsum("ij,tjk->tik", root, markers).reshape(TRIALS, 93)
-    sizes = np.repeat(noise.scatter, 3) * rng.normal(size=(TRIALS, 15))
+    sizes = np.repeat(noise.scatter, COLUMNS) * rng.normal(size=(TRIALS, 15))
     residual += np.einsum("trp,tp->tr", scatter, sizes) + own @ [2.0, -1.0]
     read = np.ones((TRIALS, READINGS), dtype=bool)
     read[3, 30:33] = False
@@ -50,22 +56,22 @@ def test_white_noise_stays_what_was_declared(seed):
 def test_noise_along_the_rod_is_found(rho):
     length = -(ARC[1] - ARC[0]) / np.log(rho)
     found = drawn(NoiseModel(1.0, 1.0 - 1e-9, length), 5)
-    assert found.scatter == (0.0,) * 5
+    assert found.scatter == (0.0,) * 7
     assert found.share > 0.9
     assert found.size == pytest.approx(1.0, abs=0.15)
     assert np.exp(-(ARC[1] - ARC[0]) / found.length) == pytest.approx(rho, abs=0.05)
 
 
 def test_poses_that_scatter_are_found():
-    found = drawn(NoiseModel(scatter=(0.0, 0.0, 0.02, 1e-3, 0.0)), 7)
+    found = drawn(NoiseModel(scatter=(0.0, 0.0, 0.02, 0.0, 1e-3, 0.0, 0.0)), 7)
     assert found.share == 0.0
-    assert [s > 0.0 for s in found.scatter] == [False, False, True, True, False]
+    assert [s > 0.0 for s in found.scatter] == [False, False, True, False, True, False, False]
     assert found.scatter[2] == pytest.approx(0.02, rel=0.35)
-    assert found.scatter[3] == pytest.approx(1e-3, rel=0.35)
+    assert found.scatter[4] == pytest.approx(1e-3, rel=0.35)
 
 
 def test_whitened_readings_are_independent():
-    noise = NoiseModel(1.1, 0.8, 0.1, (0.0, 5e-4, 0.0, 0.0, 0.01))
+    noise = NoiseModel(1.1, 0.8, 0.1, (0.0, 5e-4, 0.0, 0.0, 0.0, 0.01, 0.0))
     _, scatter = columns(np.random.default_rng(0))
     read = np.ones((TRIALS, READINGS), dtype=bool)
     read[0, :3] = False
@@ -74,7 +80,7 @@ def test_whitened_readings_are_independent():
         own = read[t]
         c = np.eye(READINGS)
         c[:93, :93] = np.kron(noise.markers(ARC), np.eye(3))
-        u = scatter[t] * np.repeat(noise.scatter, 3)
+        u = scatter[t] * np.repeat(noise.scatter, COLUMNS)
         c += u @ u.T
         left = maps[t] @ c @ maps[t].T
         assert np.allclose(left[np.ix_(own, own)], np.eye(own.sum()), atol=1e-9)

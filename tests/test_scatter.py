@@ -14,7 +14,7 @@ from wrod.commands import main
 from wrod.identification.clamped.fit import fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
-from wrod.identification.clamped.noise import NoiseModel, _Restricted, estimate
+from wrod.identification.clamped.noise import COLUMNS, NoiseModel, _Restricted, estimate
 from wrod.identification.clamped.scatter import what_is_left
 from wrod.identification.clamped.selection import _weighed_anew
 from wrod.identification.clamped.steps import base_fit, too_little
@@ -106,18 +106,18 @@ def test_it_is_seen_beside_an_effect_and_is_no_excuse_for_a_wrong_one():
 
 
 def test_standard_errors_are_what_estimates_scatter_by():
-    truth = NoiseModel(scatter=(0.0, 0.0, 0.02, 1e-3, 0.0))
+    truth = NoiseModel(scatter=(0.0, 0.0, 0.02, 0.0, 1e-3, 0.0, 0.0))
     rng, found, said = np.random.default_rng(5), [], []
     own, scatter = columns(rng)
     read = np.ones((TRIALS, READINGS), dtype=bool)
     for _ in range(12):
-        sizes = np.repeat(truth.scatter, 3) * rng.normal(size=(TRIALS, 15))
+        sizes = np.repeat(truth.scatter, COLUMNS) * rng.normal(size=(TRIALS, 15))
         residual = rng.normal(size=(TRIALS, READINGS)) + np.einsum("trp,tp->tr", scatter, sizes)
         likelihood = _Restricted(ARC, read, residual, own, scatter)
         noise = likelihood.best()
         found.append(noise.scatter)
         said.append(likelihood.scatter_errors(noise))
-    for k in (2, 3):
+    for k in (2, 4):
         spread = np.std(np.array(found)[:, k], ddof=1)
         # Of 12 draws a standard deviation is known to 20 %.
         assert np.median(np.array(said)[:, k]) == pytest.approx(spread, rel=0.6)

@@ -22,22 +22,30 @@ from scipy.optimize import minimize
 
 from wrod.identification.effect import Model, effects
 
-# Groups of random effects of a trial, in the order of their columns, three each.
+# Groups of random effects of a trial, in the order of their columns. A rod rolls in a grip more
+# easily than it leaves its axis, and shows it less.
 SCATTER = {
     "camera_offset": "m",
     "clamp_offset": "m",
     "clamp_rotation": "rad",
+    "clamp_roll": "rad",
     "grip_offset": "m",
     "grip_rotation": "rad",
+    "grip_roll": "rad",
 }
+COLUMNS = (3, 3, 2, 1, 3, 2, 1)
+# Effects whose parameters are these columns.
+_EFFECTS = ("camera_offset", "clamp_offset", "clamp_rotation", "grip_offset", "grip_rotation")
 # Noise may be this much larger or smaller than declared; what is larger is a misfit.
 _LARGEST, _SMALLEST = 1.25, 0.5
 # A kind of noise is believed where it lowers -2 log (restricted likelihood) by this for each of its
-# parameters: selections of effects rest on it, and white noise is what was declared.
-_PRICE = 6.0
+# parameters: selections of effects rest on it, and white noise is what was declared. Scatter is
+# asked for in seven groups, one of which may seem to by chance: it has to lower it by as much more
+# as the logarithm of that many odds, which makes the margin that effects and prints have.
+_PRICE, _PRICE_OF_SCATTER = 6.0, 10.0
 # In units of the scales below, a scatter that nobody would see.
 _NO_SCATTER = 1e-3
-_SCALES = {"m": 1e-3, "rad": 0.01}
+_SCALES = np.array([1e-3, 1e-3, 0.01, 0.1, 1e-3, 0.01, 0.1])
 # A reading is an outlier beyond this many robust deviations from its neighbours along the rod.
 _OUTLIER = 6.0
 
@@ -149,7 +157,7 @@ def whiteners(noise, arc_length, seen, scatter_rates) -> tuple[np.ndarray, np.nd
     common[:coordinates, :coordinates] = np.kron(noise.markers(arc_length), np.eye(3))
     out = np.zeros((trials, readings, readings))
     effective = np.empty(trials)
-    size = np.repeat(noise.scatter, 3)
+    size = np.repeat(noise.scatter, COLUMNS)
     for t in range(trials):
         own = np.flatnonzero(seen[t])
         c = common[np.ix_(own, own)]
@@ -164,8 +172,8 @@ def whiteners(noise, arc_length, seen, scatter_rates) -> tuple[np.ndarray, np.nd
 def scatter_rates(laboratory, model: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """((T, R, P), (T, R, 15)) rates of the model's readings in its parameters and in `SCATTER`."""
     known = effects()
-    everything = Model((*model.effects, *(known[name] for name in SCATTER)))
-    start = np.concatenate([values, np.zeros(3 * len(SCATTER))])
+    everything = Model((*model.effects, *(known[name] for name in _EFFECTS)))
+    start = np.concatenate([values, np.zeros(sum(COLUMNS))])
     _, rates = laboratory.jacobian(everything, start)
     return rates[:, :, : len(values)], rates[:, :, len(values) :]
 
@@ -212,8 +220,7 @@ class _Restricted:
         self.columns = np.concatenate([residual[..., None], own, scatter], axis=2) * mask
         self.full = bool(read.all())
         self.read, self.width = read, own.shape[2]
-        units = np.repeat([_SCALES[u] for u in SCATTER.values()], 3)
-        self.columns[:, :, 1 + self.width :] *= units
+        self.columns[:, :, 1 + self.width :] *= np.repeat(_SCALES, COLUMNS)
         self.span = float(arc_length[-1] - arc_length[0])
 
     def best(self) -> NoiseModel:
@@ -242,11 +249,11 @@ class _Restricted:
                     # A scatter that does nothing is none.
                     own = np.where(own > 20 * _NO_SCATTER, own, 0.0)
                     own = self._needed((size, share, length), own)
-                    price = _PRICE * (3 * correlated + (own > 0).sum())
-                    units = np.array([_SCALES[u] for u in SCATTER.values()])
+                    own = self._nearest((size, share, length), own)
+                    price = _PRICE * 3 * correlated + _PRICE_OF_SCATTER * (own > 0).sum()
                     noise = NoiseModel(
                         float(size), float(share), float(length if correlated else 0.0),
-                        tuple((own * units).tolist()),
+                        tuple((own * _SCALES).tolist()),
                     )  # fmt: skip
                     found.append((self.value(size, share, length, own) + price, noise))
         return min(found, key=lambda f: f[0])[1]
@@ -254,8 +261,7 @@ class _Restricted:
     def scatter_errors(self, noise: NoiseModel) -> np.ndarray:
         """Standard errors of a noise's scatters [m] or [rad]: the curvature of the likelihood in
         their logarithms."""
-        units = np.array([_SCALES[u] for u in SCATTER.values()])
-        size, seen = np.array(noise.scatter) / units, np.flatnonzero(noise.scatter)
+        size, seen = np.array(noise.scatter) / _SCALES, np.flatnonzero(noise.scatter)
         along = noise.size, noise.share, noise.length or 1.0
 
         def value(*moves):
@@ -272,7 +278,7 @@ class _Restricted:
                 curvature[i, j] = sum(corners) / (4.0 * h * h)
         errors = np.zeros(len(size))
         errors[seen] = np.sqrt(np.maximum(np.diag(np.linalg.inv(0.5 * curvature)), 0.0))
-        return errors * size * units
+        return errors * size * _SCALES
 
     def _needed(self, along: tuple[float, float, float], scatter: np.ndarray) -> np.ndarray:
         """The scatters without those that are not worth their price."""
@@ -284,9 +290,28 @@ class _Restricted:
                 less = scatter.copy()
                 less[k] = 0.0
                 without = self.value(size, share, length, less)
-                if without < now + _PRICE:
+                if without < now + _PRICE_OF_SCATTER:
                     scatter, now = less, without
         return scatter
+
+    def _nearest(self, along: tuple[float, float, float], scatter: np.ndarray) -> np.ndarray:
+        """The likeliest sizes of the scatters that there are: of all at once the search ends on
+        its way."""
+        seen = scatter > 0.0
+        if not seen.any():
+            return scatter
+
+        def sizes(p):
+            own = scatter.copy()
+            own[seen] = np.exp(p)
+            return own
+
+        first, limits = np.log(scatter[seen]), (np.log(_NO_SCATTER), np.log(30.0))
+        found = minimize(
+            lambda p: self.value(*along, sizes(p)), first, bounds=[limits] * len(first),
+            method="L-BFGS-B", options={"maxiter": 30},
+        )  # fmt: skip
+        return sizes(found.x)
 
     def _read(self, p, correlated, scattered):
         size, share, length = 1.0, 0.0, 1.0
@@ -302,7 +327,7 @@ class _Restricted:
         own = x[:, :, : 1 + width]
         gram = own.mT @ own
         if np.any(scatter):
-            u = x[:, :, 1 + width :] * np.repeat(scatter, 3)
+            u = x[:, :, 1 + width :] * np.repeat(scatter, COLUMNS)
             inner = np.eye(u.shape[2]) + u.mT @ u
             cross = u.mT @ own
             gram = gram - cross.mT @ np.linalg.solve(inner, cross)

@@ -21,8 +21,10 @@ from wrod.identification.effect import Estimate, Model
 from wrod.identification.verdict import CLAMPED
 
 # Farther off than this from trial to trial is no play of a fixture and no camera that was set up
-# again [m, rad]: six numbers an end may turn a clamp by 17 degrees in place of a twisted rod.
+# again [m, rad]: five numbers an end may turn a clamp by 17 degrees in place of a twisted rod. How
+# far a rod rolls in a grip that it slips in has no such bound.
 _PLAY = {"m": 3e-3, "rad": np.deg2rad(3.0)}
+_ROLLS = {"clamp_roll", "grip_roll"}
 # A trial outweighs the others with so many times the squares of their median.
 OUTWEIGHS = 5.0
 
@@ -86,10 +88,10 @@ def what_is_left(
     # What is not said by poses and cameras alone, large noise along the rod say, is a misfit.
     if not any(noise.scatter) or not CLAMPED.is_noise(noise.size, 1.0) or prints[0].seen:
         return None, ""
-    if any(s > _PLAY[unit] for s, unit in zip(noise.scatter, SCATTER.values(), strict=True)):
+    found, sizes = dict(zip(SCATTER, noise.scatter, strict=True)), {}
+    if any(s > _PLAY[SCATTER[name]] for name, s in found.items() if name not in _ROLLS):
         return None, ""
     errors = scatter_errors(laboratory, model, values, noise)
-    sizes = {}
     for (name, unit), size, error in zip(SCATTER.items(), noise.scatter, errors, strict=True):
         if size > 0.0:
             shown = 1e3 if unit == "m" else 180.0 / np.pi

@@ -104,7 +104,6 @@ def judge(
     told, left = (fit, after) if proven else (empty, before)
     at_noise = left <= at_noise_of(laboratory) * _expected_of(laboratory, told)
     scatter, changing = what_is_left(laboratory, told.model, told.values, m.test)
-    scatter = None if at_noise else scatter
     settled = not changing and (at_noise or bool(scatter))
     if proven:
         verdict, reason = _word_of_effects(
@@ -112,7 +111,7 @@ def judge(
             fit.model.at_bound(fit.values),
         )  # fmt: skip
     elif settled or (changing and not fit.model.effects):
-        verdict = "unexplained" if changing else "adequate" if at_noise else "explained"
+        verdict = "unexplained" if changing else "explained" if scatter else "adequate"
         reason = f"the base model's test error is {before:.2f} times the noise floor"
     elif fit.model.effects:
         verdict = "unexplained"
