@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 import wrod
 from wrod.bench.bend_shapes import BENDS, bend
 from wrod.bench.bends import pull_bend
-from wrod.knots.pull import HOLD, SETTLE, Pair, keep_up
+from wrod.knots.pull import HOLD, SETTLE, TwoHands, keep_up
 from wrod.knots.topology import recognise_pair
 from wrod.knots.trials import STILL
 from wrod.knots.workbench import Poses, Workbench
@@ -67,7 +67,7 @@ def straight(friction=0.5, strength=np.inf):
 
 
 def pulled(table, starts, load, way=0.05, give=0.002):
-    pair = Pair(starts, way * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.01)
+    pair = TwoHands(starts, way * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.01)
     return keep_up(table, pair, load, give)
 
 
@@ -90,7 +90,7 @@ def test_pull_that_is_over_stays_over_where_it_is_filmed():
     ends = []
     for filmed in (False, True):
         table, starts, rod = straight()
-        pair = Pair(starts, 0.05 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.01)
+        pair = TwoHands(starts, 0.05 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.01)
         frames: list = []
         load = 0.06 * rod.stretching_stiffness
         outcome = keep_up(table, pair, load, 0.002, frames.append if filmed else None)
@@ -147,7 +147,7 @@ def pulled_scenes(scale):
             table.held.grasp(scene, hand, edge, places)
     ways = 0.05 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     misses = np.zeros((len(rods), 2, 1, 3))
-    outcome = keep_up(table, Pair(starts, ways, 0.01, upright, misses), 1.5, 0.002)
+    outcome = keep_up(table, TwoHands(starts, ways, 0.01, upright, misses), 1.5, 0.002)
     return outcome, table.batch.positions(), len(rounds)
 
 

@@ -20,7 +20,7 @@ from wrod.deployment.sight import Seen
 from wrod.deployment.simulate import Trial, prepare_trials
 from wrod.deployment.tangents import lay
 from wrod.deployment.together import follow
-from wrod.deployment.way import Way
+from wrod.deployment.way import GripWay
 from wrod.errors import RodError
 from wrod.planning.tail import Tail
 from wrod.solvers.friction import Friction
@@ -75,7 +75,7 @@ def test_a_table_of_two_frictions_is_told_by_what_slid_on_it(two_bends):
     told = [Beliefs(pattern, rod, 0.4, 0.05) for _ in range(2)]
     cameras = [np.random.default_rng(seed) for seed in range(2)]
     for to in np.arange(0.12, 0.36, 0.03):
-        path = Way(trajectory).until(to).path
+        path = GripWay(trajectory).until(to).path
         trial = Trial(pattern, rod, path, Friction(0.4), Disturbance(), Tail.none(path))
         (lies,) = lay([trial], friction_field=field, **same)
         for beliefs, rng in zip(told, cameras, strict=True):
@@ -95,7 +95,7 @@ def test_no_table_is_invented_from_noise(two_bends):
     every = [believed.accounts] * len(rngs)
     here = believed.account.mean
     for at in np.arange(0.12, 0.36, 0.03):
-        path = Way(trajectory).until(at).path
+        path = GripWay(trajectory).until(at).path
         laid = follow([believed.felt(path, **ROUGH)])[0]
         truth = replace(laid, centerline=laid.centerline - 0.5 * laid.tangent[0])
         for k, rng in enumerate(rngs):
@@ -114,7 +114,7 @@ def test_friction_far_from_what_was_believed_is_not_taken_for_a_table_that_varie
     same = ROUGH | {"discretisation": meshed_to_the_end(ROUGH["discretisation"], pattern)}
     beliefs, rng = Beliefs(pattern, rod, 0.4, 0.05), np.random.default_rng(0)
     for to in (0.12, 0.15):
-        path = Way(trajectory).until(to).path
+        path = GripWay(trajectory).until(to).path
         trial = Trial(pattern, rod, path, Friction(0.15), Disturbance(), Tail.none(path))
         (lies,) = lay([trial], **same)
         pictures = [Seen.of(lies, to, Sight(), rng) for _ in range(3)]
@@ -175,7 +175,7 @@ def test_a_beginning_that_springs_is_laid_for_it(bend):
     pattern, trajectory = bend
     beliefs = Beliefs(pattern, ROD, 0.4, 0.05)
     beliefs.know(0.4, Disturbance(natural_curvature=6.0), None)
-    now = Moment(beliefs, Way(trajectory), 0.07, np.zeros(2), horizon=10.0)
+    now = Moment(beliefs, GripWay(trajectory), 0.07, np.zeros(2), horizon=10.0)
     way, placed, kept = follow([now.begun()], hold=0.05)[0]
     assert not kept
     left = []
@@ -188,7 +188,7 @@ def test_a_beginning_that_springs_is_laid_for_it(bend):
 def test_a_plant_is_shaken_as_it_was_however_long_it_goes_on(bend):
     """Pictures are of plants that are laid again each time: what is past must not change."""
     pattern, trajectory = bend
-    paths = [Way(trajectory).until(to).path for to in (0.15, 0.2)]
+    paths = [GripWay(trajectory).until(to).path for to in (0.15, 0.2)]
     moved = []
     for shaken in (Disturbance(jitter=3e-4, shaking_time=60.0), Disturbance(jitter=3e-4)):
         short, long = (
@@ -264,7 +264,7 @@ def test_the_last_column_is_of_trials_that_are_there_with_and_without_an_effect(
 
 def test_a_grip_goes_back_and_on_as_it_would_have_gone(bend):
     _, trajectory = bend
-    way, turn = Way(trajectory).back(0.2, 0.12)
+    way, turn = GripWay(trajectory).back(0.2, 0.12)
     # 8 cm back, and the same forth; its poses are those of the laid length, turned or not.
     assert way.end == pytest.approx(trajectory.arc_length[-1] + 0.16, abs=0.02)
     assert way.laid_at(turn) == pytest.approx(0.12, abs=1e-3)
@@ -281,7 +281,7 @@ def test_a_grip_goes_back_and_on_as_it_would_have_gone(bend):
 def test_what_lies_beside_is_made_up_for_by_several_steps(bend):
     """One step is not enough: what lies answers linearly to a millimetre of the grip alone."""
     pattern, trajectory = bend
-    way, beliefs = Way(trajectory), Beliefs(pattern, ROD, 0.3, 0.05)
+    way, beliefs = GripWay(trajectory), Beliefs(pattern, ROD, 0.3, 0.05)
     now = Moment(beliefs, way, 0.12, np.array([0.0, 2e-3]), horizon=10.0)
     before, after, _, corrected = follow([now._corrected(way, 0.12)], hold=0.05)[0]
     assert before[-15:].mean() > 2e-3 and after[-15:].mean() < 0.5 * before[-15:].mean()
@@ -305,7 +305,7 @@ def test_what_lies_beside_is_made_up_for_by_several_steps(bend):
 def test_a_path_is_kept_that_others_as_likely_are_laid_better_by(bend):
     """What is best for what is believed is worse where that is doubted."""
     pattern, trajectory = bend
-    beliefs, way = Beliefs(pattern, ROD, 0.4, 0.05), Way(trajectory)
+    beliefs, way = Beliefs(pattern, ROD, 0.4, 0.05), GripWay(trajectory)
     now = Moment(beliefs, way, 0.12, np.zeros(2), horizon=10.0)
     one = np.zeros((100, len(beliefs.account.mean)))
     one[:, 3] = 1e-3  # all of it goes along with the robot's place

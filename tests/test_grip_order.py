@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import wrod
 from wrod.deployment.assembly import assemble
-from wrod.deployment.carried_tangents import Tangents
+from wrod.deployment.carried_tangents import LaidTangents
 from wrod.deployment.grip_path import GripSchedule
 from wrod.deployment.setup import Setup
 
@@ -48,7 +48,7 @@ def hung(edges: int):
     unit = np.eye(COLUMNS)[None]
     path = np.repeat(unit[:, :, None, :6], KEYS, axis=2)
     friction = np.zeros((1, COLUMNS, batch.node_count))
-    dynamics.follower = tangents = Tangents(
+    dynamics.follower = tangents = LaidTangents(
         batch,
         contact,
         path,

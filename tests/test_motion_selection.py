@@ -17,7 +17,7 @@ from wrod.identification.motion.fit import Linearised, MotionLaboratory
 from wrod.identification.motion.loading import motion_from_arrays
 from wrod.identification.motion.noise import noise_in_time
 from wrod.identification.motion.promises import losses_of, promises_of
-from wrod.identification.motion.remembered import Remembered
+from wrod.identification.motion.remembered import KnownSteps
 from wrod.identification.motion.selection import select_motion, verdict_of
 from wrod.identification.motion.solver import MotionSolver
 from wrod.identification.motion.split import folds, split_evenly, with_test
@@ -323,18 +323,18 @@ def test_an_identification_that_was_stopped_goes_on(measured, tmp_path, monkeypa
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        select(stop, remembered=Remembered(steps, measured))
+        select(stop, remembered=KnownSteps(steps, measured))
     lines = steps.read_text().splitlines()
     row = json.loads(lines[-1])
     for name, value in {"cost": 0.0, "more": [1], "misfit": "x"}.items():
         row["found"][name] = value
         steps.write_text("\n".join([*lines[:-1], json.dumps(row), ""]))
         with pytest.raises(DataError, match=f"line {len(lines)}: is damaged; delete that line"):
-            Remembered(steps, measured)
+            KnownSteps(steps, measured)
     for damaged in ("{}", "[]", '{"step": 1}', "\0", '{"step": "a", "found": {"a": ' + 40 * "["):
         steps.write_text("\n".join([*lines[:-1], damaged, ""]))
         with pytest.raises(DataError, match=r"steps\.jsonl"):
-            Remembered(steps, measured)
+            KnownSteps(steps, measured)
     steps.write_text("\n".join([*lines, '{"step": "half a li']))
     linearised = MotionLaboratory._linearised
 
@@ -343,14 +343,14 @@ def test_an_identification_that_was_stopped_goes_on(measured, tmp_path, monkeypa
         return linearised(self, windows, model, values)
 
     monkeypatch.setattr(MotionLaboratory, "_linearised", _linearised)
-    remembered = Remembered(steps, measured)
+    remembered = KnownSteps(steps, measured)
     resumed, after = select(remembered=remembered), len(worked)
     whole = select()
     assert 0 < after < (len(worked) - after) / 2
     assert np.array_equal(resumed.values, whole.values)
     assert (resumed.before, resumed.after) == (whole.before, whole.after)
     with pytest.raises(DataError, match="other settings"):
-        Remembered(steps, with_test(measured, np.array([0, 5])))
+        KnownSteps(steps, with_test(measured, np.array([0, 5])))
     remembered.forget()
     assert not steps.exists()
 

@@ -9,7 +9,7 @@ import warp as wp
 from chosen import DEVICE
 
 import wrod
-from wrod.bench.newton_bodies import Arm
+from wrod.bench.newton_bodies import TwoLinkArm
 from wrod.bench.newton_lag import Slider, period_and_rate, trembles
 from wrod.errors import WrodWarning
 
@@ -22,7 +22,7 @@ def test_an_arm_under_mujoco_feels_its_cable():
     pytest.importorskip("mujoco_warp")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", newton.NewtonWarning)  # joints outside articulations
-        arm = Arm(mujoco=True, visible=True)
+        arm = TwoLinkArm(mujoco=True, visible=True)
     assert arm.arm.mj_model.nv == 2
     arm.settle(900, 0.002)
     torques = arm.torques()

@@ -12,7 +12,7 @@ import wrod
 from wrod.commands.plan_summary import _expectation
 from wrod.deployment import descent, together
 from wrod.deployment.corrections import Corrections, pace_of
-from wrod.deployment.descent import State, Task, descend
+from wrod.deployment.descent import State, TableTask, descend
 from wrod.deployment.expectation import (
     Unseen,
     _stretches,
@@ -170,7 +170,7 @@ def test_a_plan_has_its_own_mesh_in_any_company(bend, monkeypatch):
     longer = replace(ROD, length=3.0 * ROD.length)
 
     def asked(rod, judge):
-        return next(course(Task(pattern, rod, trajectory, 0.3), judge=judge))
+        return next(course(TableTask(pattern, rod, trajectory, 0.3), judge=judge))
 
     for judge in (True, False):
         _laid({k: asked(rod, judge) for k, rod in enumerate((ROD, ROD, longer))}, {})
@@ -266,7 +266,7 @@ def test_what_rods_happen_to_be_decides_nothing():
 
 def test_no_step_is_made_by_derivatives_that_ran_away(bend):
     pattern, trajectory = bend
-    run = course(Task(pattern, ROD, trajectory, 0.3), samples=1, judge=False)
+    run = course(TableTask(pattern, ROD, trajectory, 0.3), samples=1, judge=False)
     asked, count = next(run), 0
     with np.errstate(over="ignore"), pytest.raises(StopIteration) as ended:
         while True:
@@ -284,7 +284,9 @@ def test_a_grip_that_no_rod_reaches_counts_as_diverged(bend):
     lgb = ROD.gravito_bending_length
     corrections = Corrections(pattern, trajectory, lgb, 0.05)
     spread = Spread.of(0.3)
-    problem = descent.Problem(Task(pattern, ROD, trajectory, 0.3), corrections, spread, 1, True)
+    problem = descent.Problem(
+        TableTask(pattern, ROD, trajectory, 0.3), corrections, spread, 1, True
+    )
     s = np.linspace(0.0, pattern.length, 60)
     place = np.pad(pattern.sample(s)[0][:, :2], ((0, 0), (0, 1)))
     rates = np.zeros((3 * corrections.count, 60, 3))
@@ -395,7 +397,7 @@ def test_what_is_fixed_is_not_laid_again(bend):
     """What follows lies as if all had been laid anew, with the derivatives by what is not fixed."""
     pattern, trajectory = bend
     corrections = Corrections(pattern, trajectory, ROD.gravito_bending_length, 0.05)
-    task, spread = Task(pattern, ROD, trajectory, 0.3), Spread.of(0.3)
+    task, spread = TableTask(pattern, ROD, trajectory, 0.3), Spread.of(0.3)
     on, whole = (descent.Problem(task, corrections, spread, 2, True) for _ in range(2))
     values = 0.1 * np.sin(np.arange(3.0 * corrections.count))
     fixed = on.fixed(0.1)

@@ -18,7 +18,7 @@ from wrod.patterns.curve import arc_length
 from wrod.perception import refine
 from wrod.perception.image import read_image
 from wrod.perception.measure import compare
-from wrod.perception.metric import CameraIntrinsics, MarkerLayout, Plane
+from wrod.perception.metric import CameraIntrinsics, MarkerLayout, SeenPlane
 from wrod.perception.scan import oriented, read_scan
 
 WIDTH, HEIGHT = 0.297, 0.21
@@ -92,7 +92,7 @@ def test_deployed_rod_is_measured_through_the_camera():
     camera = TopCamera.above(points)
     picture = camera.render(np.column_stack([deployed, np.full(len(points), 0.0016)]), 0.0016)
     (line,) = wrod.trace_centerlines(picture)
-    plane = Plane(camera.homography(height=0.0016))
+    plane = SeenPlane(camera.homography(height=0.0016))
     assert mean_distance(plane.to_metres(line.points), deployed) < 3e-4
     measured = compare(plane.to_metres(line.points), pattern)
     assert measured.error_mean == pytest.approx(0.003, abs=3e-4)
@@ -145,7 +145,9 @@ def test_camera_homography_inverts_its_projection(camera):
     points = np.random.default_rng(0).uniform(0.0, 0.2, (20, 2))
     for height in (0.0, 0.01):
         pixels = camera.project(np.column_stack([points, np.full(20, height)]))
-        assert np.allclose(Plane(camera.homography(height)).to_metres(pixels), points, atol=1e-12)
+        assert np.allclose(
+            SeenPlane(camera.homography(height)).to_metres(pixels), points, atol=1e-12
+        )
 
 
 def test_distorted_picture_needs_its_camera(camera, layout, tmp_path):

@@ -7,11 +7,11 @@ import pytest
 
 import wrod
 from wrod.deployment.expectation import COARSE, PACE
-from wrod.deployment.remembered import Remembered
+from wrod.deployment.remembered import LastDeployments
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.tangents import Directions, lay
 from wrod.deployment.trial import Trial
-from wrod.deployment.way import Way
+from wrod.deployment.way import GripWay
 from wrod.planning.tail import Tail
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.4)
@@ -25,7 +25,7 @@ def way():
     heading = 0.5 * (1.0 + np.tanh((s - 0.15) / 0.04))
     points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
     pattern = wrod.Pattern.from_points(points)
-    return pattern, Way(wrod.plan(pattern, ROD, spacing=0.005))
+    return pattern, GripWay(wrod.plan(pattern, ROD, spacing=0.005))
 
 
 def laid(pattern, path, columns, remembered=None, friction=0.3):
@@ -52,12 +52,12 @@ def begins(remembered):
 def test_what_goes_on_lies_as_if_it_had_been_laid_whole(way):
     """After a correction from 18 cm on, with derivatives by it and by what had begun before."""
     pattern, way = way
-    remembered = Remembered()
+    remembered = LastDeployments()
     laid(pattern, way.until(0.18).path, None, remembered)
     corrections = way.corrections(pattern, LGB, 0.18, 0.28, 0.01)
     values = np.zeros(3 * corrections.count)
     values[4] = 0.05
-    path, columns = Way(corrections.apply(values)).until(0.28).path, corrections.columns()
+    path, columns = GripWay(corrections.apply(values)).until(0.28).path, corrections.columns()
     on, whole = (laid(pattern, path, columns, one) for one in (remembered, None))
     (since,) = begins(remembered)
     assert since > 2.5  # of some 4 s until 18 cm are laid
@@ -71,7 +71,7 @@ def test_what_goes_on_lies_as_if_it_had_been_laid_whole(way):
 
 def test_another_table_is_laid_from_the_start(way):
     pattern, way = way
-    remembered = Remembered()
+    remembered = LastDeployments()
     for friction in (0.3, 0.31):
         lies = laid(pattern, way.until(0.15).path, None, remembered, friction)
     assert begins(remembered) == [0.0]

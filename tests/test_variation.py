@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrod.robot.attempt import Task
+from wrod.robot.attempt import ArmTask
 from wrod.robot.collision import CollisionModel
 from wrod.robot.grip import TravelledPath
 from wrod.robot.kinematics import grasp_poses
@@ -17,7 +17,7 @@ from wrod.robot.variation import vary
 def task(letter):
     arm = load_robot("panda")
     path = TravelledPath(letter)
-    made = Task(arm, CollisionModel(arm), letter, path, 0.02, 0.005, 0.002, None, True)
+    made = ArmTask(arm, CollisionModel(arm), letter, path, 0.02, 0.005, 0.002, None, True)
     made.travel = np.linspace(0.0, path.travel[-1], 24)
     return made
 

@@ -70,7 +70,7 @@ class Rank:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Generated:
     """What a call of `generate` did, and the honest count of what its shards hold.
 
     Attributes:
@@ -103,7 +103,7 @@ def generate(
     device: str = "auto",
     rank: Rank | None = None,
     progress: Callable[[int, int], object] | None = None,
-) -> Outcome:
+) -> Generated:
     """Solve the first `size` grasps of a sampling sequence into `folder`.
 
     What is there already is kept, so a killed call goes on where it was, to the same bytes; the
@@ -165,7 +165,7 @@ def generate(
     for parts in _solved(manifest, groups, one, device, threads, folder, first):
         for part in parts:
             tally.add(part, solved=True)
-    return Outcome(
+    return Generated(
         tally.samples, tally.solved, tally.unconverged, tally.unstable,
         time.perf_counter() - start, first[0] - start if first else 0.0,
     )  # fmt: skip

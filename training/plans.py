@@ -15,7 +15,7 @@ from wrod.training.plan_files import Bowl, Sample, claim, read, store
 
 from wrod.controller.corrector import Corrector, CorrectorInputs
 from wrod.deployment.corrections import Corrections
-from wrod.deployment.descent import Problem, Task
+from wrod.deployment.descent import Problem, TableTask
 from wrod.deployment.distilled import asked
 from wrod.deployment.expectation import misplacement
 from wrod.deployment.optimise import course
@@ -75,7 +75,7 @@ def random_pattern(rng: np.random.Generator, held: RodMaterial) -> Pattern:
     return Pattern(course, np.zeros(2), name="random")
 
 
-def task_of(index: int, seed: int) -> Task | None:
+def task_of(index: int, seed: int) -> TableTask | None:
     """The rod, the pattern and the table of that index, and the plan that does not know the table;
     None where the pattern cannot be laid."""
     rng = np.random.default_rng([seed, index])
@@ -91,7 +91,7 @@ def task_of(index: int, seed: int) -> Task | None:
             start = plan(led, held, spacing=_SPACING, remainder=False, device="cpu")
     except WrodError:
         return None
-    return Task(led, held, start, friction)
+    return TableTask(led, held, start, friction)
 
 
 def solve(index: int, seed: int) -> Course[Sample | None]:
@@ -139,13 +139,13 @@ def visit(index: int, seed: int, sample: Sample, corrector: Corrector) -> Course
     return sample.laid_by(values, bowl) if bowl.is_usable else sample
 
 
-def _asked(task: Task) -> CorrectorInputs:
+def _asked(task: TableTask) -> CorrectorInputs:
     """What a network is asked about a task."""
     low, high = Spread.of(task.friction).friction
     return asked(task.pattern, task.rod, task.trajectory, 0.5 * (low + high))
 
 
-def _bowl(task: Task, corrections: Corrections, values: np.ndarray) -> Course[Bowl]:
+def _bowl(task: TableTask, corrections: Corrections, values: np.ndarray) -> Course[Bowl]:
     """Of what `optimise` lays."""
     problem = Problem(task, corrections, Spread.of(task.friction), _SAMPLES, alone=False)
     laid = yield from problem.laid(values.ravel())

@@ -51,7 +51,7 @@ class WantedShapes:
 
 
 @wp.struct
-class Held:
+class TouchedEdge:
     """An edge that is touched: the arms of its nodes about the solid's place and by how much they
     moved in the step, seen from the solid, how the solid was turned before (a rotation from now),
     unprojected stretch, relaxation time and lag, depth and how it grew, normal force, its slope by
@@ -94,9 +94,9 @@ class Change:
 
 @wp.func
 def finish_hold(
-    h: Held, shape: Shape, head: wp.vec3d, tail: wp.vec3d, bristle: wp.vec3d, time: wp.float64,
-    size: wp.vec2d,
-) -> Held:  # fmt: skip
+    h: TouchedEdge, shape: Shape, head: wp.vec3d, tail: wp.vec3d, bristle: wp.vec3d,
+    time: wp.float64, size: wp.vec2d,
+) -> TouchedEdge:  # fmt: skip
     """What follows of a touch of an edge between nodes, of whose motions in a time `head_moved` and
     `tail_moved` are; size is of radius and skin."""
     out = h
@@ -123,9 +123,9 @@ def finish_hold(
 
 
 @wp.func
-def hold(m: Touchable, step: OneStep, c: EdgeTouch, r: int, k: int, i: int) -> Held:
+def hold(m: Touchable, step: OneStep, c: EdgeTouch, r: int, k: int, i: int) -> TouchedEdge:
     """All that a touch is made of."""
-    out = Held()
+    out = TouchedEdge()
     out.near = c.near
     head = node(step.dof, r, i)
     tail = node(step.dof, r, i + 1)
@@ -157,7 +157,7 @@ def one_of(number: int, this: int) -> wp.float64:
 
 
 @wp.func
-def follow(h: Held, number: int) -> Change:
+def follow(h: TouchedEdge, number: int) -> Change:
     """By one of the numbers."""
     g = h.near
     s = g.s
@@ -276,7 +276,7 @@ def want_bristles(
 
 
 @wp.struct
-class Ends:
+class TouchWant:
     """What a step wants of a touch: of the residuals at head and tail (the solution), of the
     bristle after it, and of the normal force by what keeps the roll."""
 
@@ -287,13 +287,13 @@ class Ends:
 
 
 @wp.func
-def wanted_of(c: Change, w: Ends) -> wp.float64:
+def wanted_of(c: Change, w: TouchWant) -> wp.float64:
     value = wp.dot(w.after, c.bristle) + w.force * c.force
     return value - wp.dot(w.head, c.at_head) - wp.dot(w.tail, c.at_tail)
 
 
 @wp.func
-def wanted_of_three(h: Held, first: int, w: Ends) -> wp.vec3d:
+def wanted_of_three(h: TouchedEdge, first: int, w: TouchWant) -> wp.vec3d:
     out = wp.vec3d(ZERO, ZERO, ZERO)
     for b in range(3):
         out[b] = wanted_of(follow(h, first + b), w)
@@ -301,7 +301,7 @@ def wanted_of_three(h: Held, first: int, w: Ends) -> wp.vec3d:
 
 
 @wp.func
-def want_shape(h: Held, w: Ends, r: int, k: int, by: WantedShapes):
+def want_shape(h: TouchedEdge, w: TouchWant, r: int, k: int, by: WantedShapes):
     wp.atomic_add(by.place, r, k, wanted_of_three(h, PLACE, w))
     wp.atomic_add(by.turn, r, k, wanted_of_three(h, TURN, w))
     wp.atomic_add(by.place_at_start, r, k, wanted_of_three(h, PLACE_AT_START, w))
@@ -334,7 +334,7 @@ def want_friction(
     r, i = wp.tid()
     if step.active[r] == 0 or model.radius[r, i] == ZERO:
         return
-    w = Ends()
+    w = TouchWant()
     mean_mass = HALF * (node_mass[r, i] + node_mass[r, i + 1])
     for k in range(model.shapes.shape[1]):
         bristle = wp.vec3d(ZERO, ZERO, ZERO)

@@ -22,7 +22,7 @@ from wrod.kernels.contact.pair_numbers import (
     on_number_node,
     pair_node,
 )
-from wrod.kernels.contact.pair_sides import Piece, Side, Touching, touching_of
+from wrod.kernels.contact.pair_sides import Piece, Side, TouchingPair, touching_of
 from wrod.kernels.contact.pair_tangent import LawWay, Way, follow_pair
 from wrod.kernels.contact.rods import add_pair_force
 from wrod.kernels.contact.segments import SMOOTHING, piece_size
@@ -46,7 +46,7 @@ def bristle_wanted(now: Wanted, r: int, i: int, j: int) -> wp.vec2d:
 
 
 @wp.func
-def pair_of(m: Pieces, kept: Rubbing, step: OneStep, r: int, i: int, k: int) -> Touching:
+def pair_of(m: Pieces, kept: Rubbing, step: OneStep, r: int, i: int, k: int) -> TouchingPair:
     j = step.pair_partner[r, i, k]
     return touching_of(m, kept, step.span[r], step.dof, step.dof_before, r, i, j, k)
 
@@ -219,7 +219,7 @@ class WantedLaw:
 
 @wp.func
 def of_law(
-    t: Touching, first: Way, second: Way, law: LawWay, x: wp.array3d(dtype=wp.float64),
+    t: TouchingPair, first: Way, second: Way, law: LawWay, x: wp.array3d(dtype=wp.float64),
     wanted: wp.vec2d, r: int, i: int, j: int,
 ) -> wp.float64:  # fmt: skip
     """What is wanted of a change, through what is wanted of the bristle and of residuals."""

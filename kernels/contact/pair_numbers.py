@@ -3,7 +3,7 @@ what it does to these follows each: see `wrod.kernels.contact.pair_adjoint`.
 """
 
 import warp as wp
-from wrod.kernels.contact.pair_sides import Piece, Side, Touching
+from wrod.kernels.contact.pair_sides import Piece, Side, TouchingPair
 from wrod.kernels.contact.pair_tangent import Follow, LawWay, Way, follow_pair
 from wrod.kernels.contact.segments import (
     EDGE,
@@ -52,7 +52,7 @@ def way_of(turns: Turns, kind: int, r: int, i: int, n: int, c: int, at_start: bo
 
 
 @wp.func
-def has(t: Touching, b: int) -> bool:
+def has(t: TouchingPair, b: int) -> bool:
     """Whether a pair has number b."""
     size = piece_size(wp.where(b < OF_PIECE, t.first.kind, t.second.kind))
     n = b % OF_PIECE / 4
@@ -66,7 +66,7 @@ def number_node(b: int, i: int, j: int) -> int:
 
 @wp.func
 def follow_number(
-    t: Touching, turns: Turns, r: int, i: int, j: int, b: int, at_start: bool
+    t: TouchingPair, turns: Turns, r: int, i: int, j: int, b: int, at_start: bool
 ) -> Follow:
     """How a pair follows number b, of the end of a step or its start."""
     first = Way()
@@ -106,7 +106,7 @@ def pair_node(w: int, i: int, j: int) -> int:
 
 
 @wp.func
-def on_number_node(t: Touching, f: Follow, w: int) -> wp.vec4d:
+def on_number_node(t: TouchingPair, f: Follow, w: int) -> wp.vec4d:
     """How the residuals of node w change; not if the pair has none."""
     out = wp.vec4d()
     if w < 3 and w < piece_size(t.first.kind):
@@ -118,7 +118,7 @@ def on_number_node(t: Touching, f: Follow, w: int) -> wp.vec4d:
 
 @wp.func
 def of_residuals(
-    t: Touching, f: Follow, x: wp.array3d(dtype=wp.float64), p: int, r: int, i: int, j: int
+    t: TouchingPair, f: Follow, x: wp.array3d(dtype=wp.float64), p: int, r: int, i: int, j: int
 ) -> wp.float64:
     """How the residuals change, along vector p of x (rod, p, dof)."""
     out = wp.float64(0.0)

@@ -43,7 +43,7 @@ class Side:
 
 
 @wp.struct
-class Touching:
+class TouchingPair:
     """A pair that touches, all that it is made of; what each side feels, motion of its surfaces,
     directions in which its bristle is told, and its bristle after the step."""
 
@@ -100,8 +100,8 @@ def what_it_feels(p: Piece, e: wp.vec3d, n: wp.vec3d, push: wp.vec3d, pull: wp.v
 def touching_of(
     m: Pieces, rubbing: Rubbing, dt: wp.float64, dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64), r: int, i: int, j: int, k: int,
-) -> Touching:  # fmt: skip
-    out = Touching()
+) -> TouchingPair:  # fmt: skip
+    out = TouchingPair()
     c = pair_contact(m, rubbing, dt, dof, dof_before, False, r, i, j, k)
     out.pair = c
     near = c.near

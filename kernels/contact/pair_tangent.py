@@ -9,7 +9,7 @@ where closest points are free, and whether friction holds or slides counts as it
 import warp as wp
 from wrod.kernels.contact.law import normal_force
 from wrod.kernels.contact.pair_contact import PairLaw, spin_share
-from wrod.kernels.contact.pair_sides import Piece, Side, Touching, across
+from wrod.kernels.contact.pair_sides import Piece, Side, TouchingPair, across
 from wrod.kernels.contact.segments import (
     EDGE,
     piece_bends,
@@ -193,7 +193,7 @@ class Closer:
 
 
 @wp.func
-def follow_nearest(t: Touching, a: Way, b: Way) -> Closer:
+def follow_nearest(t: TouchingPair, a: Way, b: Way) -> Closer:
     out = Closer()
     near = t.pair.near
     out.first_chord = a.now * piece_chord(t.first.kind)
@@ -225,7 +225,7 @@ def follow_nearest(t: Touching, a: Way, b: Way) -> Closer:
 
 
 @wp.func(inline=False)
-def follow_pair(t: Touching, a: Way, b: Way, w: LawWay) -> Follow:
+def follow_pair(t: TouchingPair, a: Way, b: Way, w: LawWay) -> Follow:
     """How a pair follows a change of its first piece, of its second and of its law."""
     out = Follow()
     c = t.pair

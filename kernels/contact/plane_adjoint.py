@@ -11,8 +11,8 @@ from wrod.kernels.contact.edge_adjoint import (
     RADIUS,
     RELAXATION,
     STIFFNESS,
-    Ends,
-    Held,
+    TouchedEdge,
+    TouchWant,
     WantedShapes,
     finish_hold,
     follow,
@@ -35,9 +35,9 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def hold_node(m: Touchable, step: OneStep, c: Touch, r: int, k: int, i: int) -> Held:
+def hold_node(m: Touchable, step: OneStep, c: Touch, r: int, k: int, i: int) -> TouchedEdge:
     """All that a node's touch is made of."""
-    out = Held()
+    out = TouchedEdge()
     out.near.normal = c.normal
     out.near.head = c.normal
     out.bristle = c.bristle
@@ -137,7 +137,7 @@ def want_friction(
     r, i = wp.tid()
     if step.active[r] == 0:
         return
-    w = Ends()
+    w = TouchWant()
     w.head = solved(x, r, i)
     stiffness = model.stiffness[r, i]
     by_stiffness = wp.float64(0.0)

@@ -39,7 +39,7 @@ MOST_REFINED = wp.constant(8)
 
 
 @wp.struct
-class Task:
+class IterationTask:
     """What is asked of an iteration, (rod,) each or for all."""
 
     # Curvature of the pattern, weight, imbalance that rounding leaves, and the continuation's first
@@ -188,7 +188,7 @@ def make_solver(size: int):
         count: wp.array(dtype=wp.int32),
         edges: int,
         rod: model,
-        task: Task,
+        task: IterationTask,
         scratch: Scratch,
         # State in and out:
         state: wp.array3d(dtype=wp.float64),

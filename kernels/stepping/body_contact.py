@@ -75,7 +75,7 @@ def press(
 
 
 @wp.struct
-class Held:
+class Push:
     """Normal force and its slope, friction's pull on the bristle, its stiffness, and how it grows
     with the normal force."""
 
@@ -87,8 +87,8 @@ class Held:
 
 
 @wp.func
-def hold(m: Meeting, p: Press, bristle: wp.vec3d, dt: wp.float64) -> Held:
-    out = Held()
+def hold(m: Meeting, p: Press, bristle: wp.vec3d, dt: wp.float64) -> Push:
+    out = Push()
     law = damped_force(p.depth, p.closing, m.relaxation, dt, m.stiffness, m.skin)
     out.force = law[0]
     out.slope = law[1]
@@ -139,7 +139,7 @@ def add_block(
 
 @wp.func
 def add_stiffness(
-    matrix: wp.array3d(dtype=wp.float64), m: Meeting, p: Press, h: Held, now: BodyMotion
+    matrix: wp.array3d(dtype=wp.float64), m: Meeting, p: Press, h: Push, now: BodyMotion
 ):
     """To how what both bodies feel grows as they move, the arms as they are."""
     r = m.row

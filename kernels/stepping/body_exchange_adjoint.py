@@ -5,7 +5,7 @@ import warp as wp
 from wrod.kernels.elastic.frames import TWO, ZERO, node
 from wrod.kernels.stepping.bodies import Body, Hold, held_force, inertia_of, spin_of, tangent_of
 from wrod.kernels.stepping.body_adjoint import BodySteps, WantedBodies, part
-from wrod.kernels.stepping.exchange import Place
+from wrod.kernels.stepping.exchange import OutsideNode
 from wrod.kernels.stepping.exchange_adjoint import by_turn
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
@@ -16,7 +16,7 @@ wp.set_module_options({"enable_backward": False})
 def want_reach(
     # Model:
     hold: wp.array2d(dtype=Hold),
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     # State in:
     at: OneStep,
     gradient: wp.array2d(dtype=wp.float64),
@@ -94,7 +94,7 @@ def want_held_read(
     # Model:
     body: wp.array2d(dtype=Body),
     hold: wp.array2d(dtype=Hold),
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     # State in:
     changed: wp.array(dtype=wp.int32),
     at: OneStep,

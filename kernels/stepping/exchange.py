@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
-class Place:
+class OutsideNode:
     """What a node of a row is outside: node `node`. The edge after it has the frame of edge `edge`
     (-1: of none), and is that edge where `owns` is 1. A node in a clamp (`ghost` is not 0) stands
     for the one that the clamp holds: it lies `ghost` rest lengths from it, in the direction of the
@@ -29,7 +29,7 @@ class Place:
 @wp.kernel
 def find_changes(
     # Model:
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     # State in:
     node_q: wp.array(dtype=wp.vec3d),
     node_qd: wp.array(dtype=wp.vec3d),
@@ -57,7 +57,7 @@ def find_changes(
 @wp.kernel
 def read_state(
     # Model:
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     rest_length: wp.array2d(dtype=wp.float64),
     # State in:
     chosen: wp.array(dtype=wp.int32),
@@ -93,7 +93,7 @@ def read_state(
 @wp.kernel
 def read_frames(
     # Model:
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     # State in:
     chosen: wp.array(dtype=wp.int32),
     edge_director: wp.array(dtype=wp.vec3d),
@@ -124,7 +124,7 @@ def read_frames(
 @wp.kernel
 def write_state(
     # Model:
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     # State in:
     dof: wp.array2d(dtype=wp.float64),
     velocity: wp.array2d(dtype=wp.float64),
@@ -164,7 +164,7 @@ def capsule_turn(z: wp.vec3d, director: wp.vec3d) -> wp.quatd:
 @wp.kernel
 def place_capsules(
     # Model:
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     body: wp.array2d(dtype=wp.int32),
     # State in:
     node_q: wp.array(dtype=wp.vec3d),

@@ -10,7 +10,7 @@ import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node, rotate
 from wrod.kernels.stepping.bodies import Hold, turn_to
 from wrod.kernels.stepping.carrying import as_pose
-from wrod.kernels.stepping.exchange import Place, capsule_turn
+from wrod.kernels.stepping.exchange import OutsideNode, capsule_turn
 from wrod.kernels.stepping.model_adjoint import WantedModel
 from wrod.kernels.stepping.trace import OneStep, Wanted, left_of
 
@@ -28,7 +28,7 @@ def want_edge(dof: wp.array2d(dtype=wp.float64), r: int, i: int, v: wp.vec3d):
 @wp.kernel
 def want_written(
     # Model:
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     capsule: wp.array2d(dtype=wp.int32),
     # State in:
     count: wp.array(dtype=wp.int32),
@@ -136,7 +136,7 @@ def want_pose(
 def want_poses(
     # Model:
     hold: wp.array2d(dtype=Hold),
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     duration: wp.float64,
     # State in:
     step: OneStep,
@@ -206,7 +206,7 @@ def want_anchored(
 @wp.kernel
 def want_frames_read(
     # Model:
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     # State in:
     changed: wp.array(dtype=wp.int32),
     step: OneStep,
@@ -247,7 +247,7 @@ def want_frames_read(
 @wp.kernel
 def want_ghosts_read(
     # Model:
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     rest_length: wp.array2d(dtype=wp.float64),
     # State in:
     changed: wp.array(dtype=wp.int32),
@@ -284,7 +284,7 @@ def want_ghosts_read(
 @wp.kernel
 def want_nodes_read(
     # Model:
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     # State in and out:
     now: Wanted,
     by_node_q: wp.array(dtype=wp.vec3d),
@@ -305,7 +305,7 @@ def want_nodes_read(
 @wp.kernel
 def want_properties(
     # Model:
-    place: wp.array2d(dtype=Place),
+    place: wp.array2d(dtype=OutsideNode),
     world: wp.array(dtype=wp.int32),
     bending_share: wp.array2d(dtype=wp.float64),
     natural_share: wp.array2d(dtype=wp.float64),

@@ -24,7 +24,7 @@ class Timetable:
 
 
 @wp.struct
-class Pull:
+class PullApart:
     """Two hands that pull apart until both feel `load`, wait `settle`, and keep it up for `hold`.
 
     Of every hand (hand,): where it starts, its direction, its share of the faster one's way, and
@@ -170,7 +170,7 @@ def pull(
     # State in and out:
     course: Timetable,
     pace: Pace,
-    pulling: Pull,
+    pulling: PullApart,
     # State out:
     position_out: wp.array3d(dtype=wp.vec3d),
 ):
@@ -220,7 +220,7 @@ def keep_tight(
     # State in:
     course: Timetable,
     pace: Pace,
-    pulling: Pull,
+    pulling: PullApart,
     dof: wp.array2d(dtype=wp.float64),
     # State out:
     tight_out: wp.array2d(dtype=wp.float64),

@@ -11,7 +11,7 @@ import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.stepping.bodies import Body, BodyMotion
 from wrod.kernels.stepping.body_adjoint import WantedBodies, part
-from wrod.kernels.stepping.body_contact import Held, Press, add_stiffness, hold, pose_in_row, press
+from wrod.kernels.stepping.body_contact import Press, Push, add_stiffness, hold, pose_in_row, press
 from wrod.kernels.stepping.body_meetings import Meeting, from_pose, pose_of
 from wrod.kernels.stepping.carrying import Pose, as_pose
 from wrod.kernels.stepping.carrying_adjoint import want_carrier
@@ -146,7 +146,7 @@ def add_before(before: WantedBodies, r: int, s: int, arm: wp.vec3d, g: wp.vec3d)
 
 
 @wp.func
-def along_slip(h: Held) -> wp.vec3d:
+def along_slip(h: Push) -> wp.vec3d:
     """Friction's growth with the normal force, as far as it slides."""
     if h.slope > ZERO:
         return h.coupling / h.slope

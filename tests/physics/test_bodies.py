@@ -12,7 +12,7 @@ import wrod
 from wrod.bench.newton_bodies import (
     NYLON,
     RUBBER,
-    Arm,
+    TwoLinkArm,
     hung,
     momentum,
     pendulum,
@@ -122,7 +122,7 @@ def test_a_spinning_book_flips(scheme, error):
 
 def test_joint_torques_of_an_arm_that_holds_a_cable():
     """Newton's Featherstone solver carries links and cable with the torques of statics."""
-    arm = Arm()
+    arm = TwoLinkArm()
     arm.settle()
     expected = arm.statics()
     assert arm.torques() == pytest.approx(expected, rel=0.01)

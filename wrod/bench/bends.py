@@ -71,7 +71,7 @@ def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> d
     from scipy.spatial.transform import Rotation
 
     from wrod.bench.bend_shapes import bend
-    from wrod.knots.pull import CREEP, Pair, keep_up
+    from wrod.knots.pull import CREEP, TwoHands, keep_up
     from wrod.knots.topology import recognise_pair
     from wrod.knots.trials import STILL
     from wrod.knots.workbench import Poses, Workbench
@@ -94,7 +94,7 @@ def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> d
 
     for h, nodes in enumerate(table.slices):
         table.held.grasp(0, h, nodes.start, Poses(starts[h][None], Rotation.identity(1)))
-    pair = Pair(starts, 0.6 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.03)
+    pair = TwoHands(starts, 0.6 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.03)
     outcome = keep_up(table, pair, load, 2.0 * CREEP * min(one.radius for one in rods))
     tight = bool(np.isfinite(outcome.tight_at[0]))
     if tight:

@@ -29,14 +29,14 @@ def fold_row(
     from wrod.identification.effect import Model, effects
     from wrod.identification.motion.fit import MotionLaboratory, errors_of
     from wrod.identification.motion.loading import load_motion
-    from wrod.identification.motion.remembered import Remembered
+    from wrod.identification.motion.remembered import KnownSteps
     from wrod.identification.motion.selection import BASE, select_motion
     from wrod.identification.motion.split import folds, with_test
 
     clock, cpu = time.perf_counter(), time.process_time()
     m = load_motion(path)
     m = with_test(m, folds(m.recording_count, number, contiguous=contiguous)[fold])
-    kept = Remembered(Path(out) / f"{Path(path).stem}-{fold}.jsonl", m) if out else None
+    kept = KnownSteps(Path(out) / f"{Path(path).stem}-{fold}.jsonl", m) if out else None
     rod = MotionLaboratory(m, device=device, remembered=kept)
     s = select_motion(rod, list(effects("motion").values()))
     seconds, cpu = time.perf_counter() - clock, time.process_time() - cpu

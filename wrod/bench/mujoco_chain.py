@@ -50,7 +50,7 @@ def require_mujoco():
 
 
 @dataclass
-class Chain:
+class MujocoChain:
     """A rod in MuJoCo.
 
     Attributes:
@@ -110,7 +110,7 @@ def chain(
     step: float = 0.004,
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81),
     lengths: np.ndarray | None = None,
-) -> Chain:
+) -> MujocoChain:
     """A rod along nodes (n + 1, 3) [m], straight at rest, above a table at z = 0.
 
     Args:
@@ -149,7 +149,7 @@ def chain(
     model.qpos_spring[7:] = _outward(Rotation.from_euler("z", angle[:, None]), root)
     mujoco.mj_forward(model, data)
     names = [model.body(f"s{k}").id for k in range(count)]
-    one = Chain(model, data, length, np.array(names), root)
+    one = MujocoChain(model, data, length, np.array(names), root)
     for k in range(held):
         data.mocap_pos[int(hand) + k] = data.xpos[names[k]]
         data.mocap_quat[int(hand) + k] = data.xquat[names[k]]

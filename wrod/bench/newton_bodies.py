@@ -132,7 +132,7 @@ def hanging(mass: float) -> tuple[float, float]:
     return float(reaction[2] + reaction[6]), total * 9.81
 
 
-class Arm:
+class TwoLinkArm:
     """Two links that a solver of Newton's moves, and a cable from their tip to a pin.
 
     Args:
@@ -242,7 +242,7 @@ def measure() -> Iterator[tuple[str, str, str]]:
         found, expected = torsion(scheme)
         yield f"torsional period, {scheme} [s]", f"{found:.5f}", f"{expected:.5f}"
     for mujoco in (False, True) if importlib.util.find_spec("mujoco_warp") else (False,):
-        arm = Arm(mujoco=mujoco)
+        arm = TwoLinkArm(mujoco=mujoco)
         arm.settle()
         mover = "MuJoCo" if mujoco else "Featherstone"
         for name, found, expected in zip(

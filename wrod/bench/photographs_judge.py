@@ -10,7 +10,7 @@ from wrod.errors import DataError
 from wrod.identification.laid.camera import OverheadCamera, find_camera
 from wrod.identification.laid.choice import aligned, average, simplest, spread, weigh
 from wrod.identification.laid.photographs import LaidPhotograph
-from wrod.identification.laid.placement import Parts, foot, parts_of, raw, rigid
+from wrod.identification.laid.placement import MissesByPart, foot, parts_of, raw, rigid
 from wrod.identification.laid.scenario import LaidRod, Scenario
 
 # Ways of predicting, the simplest first: the model with nothing fitted (None), or the scenarios'
@@ -46,7 +46,7 @@ class Row:
     best_scenario: str
     uncertainty: float
     inside: float
-    parts: Parts
+    parts: MissesByPart
 
     def as_dict(self) -> dict:
         out = asdict(self)
@@ -293,6 +293,6 @@ def _row(case, names, predicted, way, means, inside) -> Row:
     )
 
 
-def _parts(photograph, one, camera) -> Parts:
+def _parts(photograph, one, camera) -> MissesByPart:
     placed = rigid(photograph, camera.view(photograph, one.arc_length, one.nodes))
     return parts_of(photograph, placed, one.arc_length, one.nodes, FIRST)

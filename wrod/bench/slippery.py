@@ -271,7 +271,7 @@ def _led(rod_name: str, name: str, patterns: Path | None):
 
 def _planning(shelf: Shelf, rod_name: str, name: str, friction: float, method: str):
     """What is laid to optimise a plan, and the plan."""
-    from wrod.deployment.descent import Task
+    from wrod.deployment.descent import TableTask
     from wrod.deployment.optimise import course
     from wrod.deployment.plan import plan
     from wrod.deployment.spread import Spread
@@ -280,8 +280,8 @@ def _planning(shelf: Shelf, rod_name: str, name: str, friction: float, method: s
     start = plan(led, material, spacing=_PLAN_SPACING, remainder=False, device="cpu")
     if method == "certain":
         one = Spread((friction, friction), lgb_error=0.0, natural_curvature=0.0, stretch=False)
-        return (yield from course(Task(led, material, start, one), samples=1))
-    return (yield from course(Task(led, material, start, friction)))
+        return (yield from course(TableTask(led, material, start, one), samples=1))
+    return (yield from course(TableTask(led, material, start, friction)))
 
 
 def _course(shelf: Shelf, key: tuple, how: dict):

@@ -222,10 +222,10 @@ def _corrected_plans(
 
 def _course(path: Path, *what):
     """What is laid to correct a plan, which is kept in `path`."""
-    from wrod.deployment.descent import Task
+    from wrod.deployment.descent import TableTask
     from wrod.deployment.optimise import course
 
-    return course(Task(*what))
+    return course(TableTask(*what))
 
 
 def _plan_of(key: tuple, plans: dict) -> tuple:

@@ -118,7 +118,7 @@ class Real(click.FloatRange):
         return found
 
 
-class Place(click.Path):
+class GivenPath(click.Path):
     """A path that says something: an empty one would be the current folder. Where a folder is
     asked for, a device or pipe is none."""
 
@@ -138,7 +138,7 @@ def bounded(command: click.Command, path: str) -> click.Command:
     """
     for option in command.params:
         if isinstance(option.type, click.Path):
-            place = Place.__new__(Place)
+            place = GivenPath.__new__(GivenPath)
             place.__dict__.update(option.type.__dict__)
             option.type = place
         if not isinstance(option, click.Option):

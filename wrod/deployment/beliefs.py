@@ -9,8 +9,8 @@ from scipy.special import logsumexp
 
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.expectation import FINE, PACE
-from wrod.deployment.places import Places
-from wrod.deployment.remembered import Remembered
+from wrod.deployment.places import FrictionModes
+from wrod.deployment.remembered import LastDeployments
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, interpolated
 from wrod.deployment.simulate import Trial
@@ -93,7 +93,7 @@ class Beliefs:
     def __init__(self, pattern: Pattern, rod: RodMaterial, friction: float, hold: float):
         self.pattern, self.rod, self.hold = pattern, rod, hold
         self.friction = friction
-        self.places = Places(pattern)
+        self.places = FrictionModes(pattern)
         self.told_field: FrictionField | None = None
         # In deviations: logarithms of friction and stiffness, natural curvature, offset; and what
         # friction differs by from place to place.
@@ -103,7 +103,7 @@ class Beliefs:
         # How far the robot has moved all that it does since [m], and turned it [rad].
         self.placed = np.zeros(3)
         # For what deployments are laid, and what these have come to on the way.
-        self.about, self.remembered = 0.0 * same, Remembered()
+        self.about, self.remembered = 0.0 * same, LastDeployments()
         # Processor time that a look may take, what deployments had when it began [s], and whether
         # it was ended by that.
         self._patience, self._begun, self.cut = np.inf, 0.0, False

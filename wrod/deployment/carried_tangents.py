@@ -14,7 +14,7 @@ from wrod.solvers.contact import Contact
 from wrod.solvers.newton_steps import NewtonSteps
 
 
-class Tangents:
+class LaidTangents:
     """Tangents of a batch of deployments (a `wrod.solvers.newton_steps.Follower`).
 
     Args:

@@ -23,13 +23,13 @@ from wrod.deployment.expectation import (
     edged,
     misplacement,
 )
-from wrod.deployment.remembered import Remembered
+from wrod.deployment.remembered import LastDeployments
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.simulate import Trial, nodes_needed
 from wrod.deployment.spread import Spread
 from wrod.deployment.tangents import Directions, Laid
 from wrod.deployment.together import Asked, Course
-from wrod.deployment.way import Way
+from wrod.deployment.way import GripWay
 from wrod.errors import PatternError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
@@ -71,7 +71,7 @@ _BEHIND = 4.0
 
 
 @dataclass(frozen=True)
-class Task:
+class TableTask:
     """A plan that is to know its table; see `optimise`. No step begins after `until` [s of the
     monotonic clock]."""
 
@@ -165,13 +165,13 @@ class Problem:
     """
 
     def __init__(
-        self, task: Task, corrections: Corrections, spread: Spread, samples: int, alone: bool
+        self, task: TableTask, corrections: Corrections, spread: Spread, samples: int, alone: bool
     ):
         self.task, self.corrections, self.alone = task, corrections, alone
         self.spread, self.samples = spread, samples
         self.cost = corrections.cost(_SIZE, _ROUGHNESS)
         self.count = 0
-        self.remembered = [Remembered() for _ in range(samples)]
+        self.remembered = [LastDeployments() for _ in range(samples)]
 
     @property
     def is_over(self) -> bool:
@@ -271,7 +271,7 @@ class Problem:
         """The rods that cover the spread, by a corrected path, up to `end` of the pattern [m]."""
         now, task = self.corrections.apply(values), self.task
         end += _BEYOND * self.corrections.lgb + now.remainder_length
-        now = Way(now).until(end).path
+        now = GripWay(now).until(end).path
         rest = Tail.none(now)  # nothing is asked of what comes after the pattern
         return [
             Trial(task.pattern, held, now, law, told, rest)

@@ -17,7 +17,7 @@ from wrod.deployment.beliefs import Beliefs, meshed_to_the_end
 from wrod.deployment.bounds import refuse_another_rod
 from wrod.deployment.discretisation import USUAL
 from wrod.deployment.looking_on import FeedbackLoop, Look
-from wrod.deployment.remembered import Remembered
+from wrod.deployment.remembered import LastDeployments
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, Sight
 from wrod.deployment.simulate import Trial
@@ -122,7 +122,7 @@ def following(
         raise RodError("the deployment has begun; give a loop that has not looked at anything yet")
     sight = sight or Sight()
     rng = np.random.default_rng(sight.seed)
-    beliefs, gone_on = loop.beliefs, Remembered()
+    beliefs, gone_on = loop.beliefs, LastDeployments()
     pattern, hold = beliefs.pattern, beliefs.hold
 
     def really(path: Trajectory, **more) -> Course[Laid]:

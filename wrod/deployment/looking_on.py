@@ -21,7 +21,7 @@ from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen
 from wrod.deployment.simulate import Trial, refuse_other_plans, with_remainder_of
 from wrod.deployment.together import Course, follow
-from wrod.deployment.way import Way
+from wrod.deployment.way import GripWay
 from wrod.errors import DataError, RodError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.hold import as_held
@@ -139,7 +139,7 @@ class FeedbackLoop:
         pattern = with_remainder_of(pattern, trajectory)
         rod = as_held(trajectory, rod)
         self.beliefs, self.looks = Beliefs(pattern, rod, friction, hold), list[Look]()
-        self.way = Way(trajectory).followed_by_tail(pattern, hidden)
+        self.way = GripWay(trajectory).followed_by_tail(pattern, hidden)
         s = trajectory.arc_length
         # Up to where the grip goes before the next look, and where it stands [m of the way].
         self.gone = float(s[min(int(np.searchsorted(s, hold)) + _LEAST_POSES, len(s) - 1)])

@@ -20,7 +20,7 @@ from wrod.deployment.corrections import Corrections
 from wrod.deployment.descent import (
     Limits,
     Problem,
-    Task,
+    TableTask,
     Tried,
     descend,
     expected_error,
@@ -115,7 +115,7 @@ def optimise_rivals(
     values = paces(pace)
     until = np.inf if time_limit is None else time.monotonic() + time_limit
     tasks = [
-        Task(pattern, rod, trajectory, friction, limits, v, until)
+        TableTask(pattern, rod, trajectory, friction, limits, v, until)
         for pattern, trajectory in rivals
         for v in values.tolist()
     ]
@@ -145,7 +145,7 @@ def _fastest(made: list[Trajectory]) -> Trajectory:
 
 
 def optimise_each(
-    tasks: Sequence[Task],
+    tasks: Sequence[TableTask],
     *,
     samples: int | None = None,
     hold: float = 0.05,
@@ -162,7 +162,7 @@ def optimise_each(
 
 
 def course(
-    task: Task, *, samples: int | None = None, hold: float = 0.05, judge: bool = True
+    task: TableTask, *, samples: int | None = None, hold: float = 0.05, judge: bool = True
 ) -> Course[Trajectory]:
     """The deployments with which a plan is optimised, and then the plan; see `optimise`."""
     spread, trajectory = Spread.of(task.friction), task.trajectory

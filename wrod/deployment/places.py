@@ -16,7 +16,7 @@ _REACH, _DEVIATION, _SHARE = 0.06, 0.5, 0.98
 _POINTS, _GRID, _BEYOND = 200, 0.01, 2.5
 
 
-class Places:
+class FrictionModes:
     """Modes of the logarithm of friction under a pattern.
 
     A Gaussian process over the table, of covariance 0.25 exp(-d^2 / 2 l^2), d the distance of two

@@ -15,7 +15,7 @@ from hashlib import sha256
 import numpy as np
 import warp as wp
 
-from wrod.deployment.carried_tangents import Tangents
+from wrod.deployment.carried_tangents import LaidTangents
 from wrod.deployment.grip_path import KEY_INTERVAL, GripSchedule
 from wrod.deployment.setup import Setup
 from wrod.kernels.stepping.pace import Pace
@@ -52,7 +52,7 @@ class _Run:
     moments: list[_Moment] = field(default_factory=list)
 
 
-class Remembered:
+class LastDeployments:
     """The last deployments of a rod without fixtures that does not remember how it was bent, for
     `wrod.deployment.tangents.lay`.
 
@@ -70,7 +70,7 @@ class Remembered:
         first = int(since / _EVERY + 1e-6) + 1
         yield from (k * _EVERY for k in range(first, int(np.ceil(end / _EVERY - 1e-6))))
 
-    def begun(self, told: tuple, setup: Setup, parts: Parts) -> float:
+    def begun(self, told: tuple, setup: Setup, parts: LaidParts) -> float:
         """Let a deployment that is `told` by such values, and has such a setup, go on from where
         one was that began alike; the time [s] of that, 0 where none did."""
         told = told, setup.arc_length, setup.position, setup.director
@@ -90,19 +90,19 @@ class Remembered:
         self.effort += each * parts.batch.node_count * (setup.measure_time - begun)
         return begun
 
-    def keep(self, time: float, parts: Parts) -> None:
+    def keep(self, time: float, parts: LaidParts) -> None:
         """What the last deployment that has begun carries at a time [s]."""
         self.runs[-1].moments.append(parts.taken(time))
 
 
 @dataclass(frozen=True)
-class Parts:
+class LaidParts:
     """What carries a deployment of one rod."""
 
     batch: RodBatch
     contact: Contact
     dynamics: Dynamics
-    tangents: Tangents | None
+    tangents: LaidTangents | None
 
     @property
     def quiet(self) -> float:

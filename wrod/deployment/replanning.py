@@ -12,7 +12,7 @@ from wrod.deployment.expectation import misplacement
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.tangents import Directions
 from wrod.deployment.together import Course
-from wrod.deployment.way import Way
+from wrod.deployment.way import GripWay
 from wrod.patterns.pattern import Pattern
 
 # Costs of the corrections, a tenth of those in `optimise`: one rod is laid, not a sample of them.
@@ -57,7 +57,7 @@ class _Candidate:
     judged [m], the errors (2 x 50,) that are expected of it [m], and their derivatives (2 x 50, n)
     by what is believed [m/deviation]."""
 
-    way: Way
+    way: GripWay
     placed: np.ndarray
     reach: float
     error: np.ndarray
@@ -72,13 +72,13 @@ class Moment:
     it went for [m]."""
 
     beliefs: Beliefs
-    way: Way
+    way: GripWay
     gone: float
     aside: np.ndarray
     horizon: float
     returns: list[tuple[float, float]] = field(default_factory=list)
 
-    def begun(self) -> Course[tuple[Way, np.ndarray, bool]]:
+    def begun(self) -> Course[tuple[GripWay, np.ndarray, bool]]:
         """The way of a deployment that is begun anew; where the robot places all of it then (3,)
         [m, rad]; and whether the way was kept, see `replanned`."""
         beliefs = self.beliefs
@@ -88,7 +88,7 @@ class Moment:
         chosen = old if kept else new
         return chosen.way, chosen.placed, kept
 
-    def replanned(self, again: bool) -> Course[tuple[Way, float, float | None, bool]]:
+    def replanned(self, again: bool) -> Course[tuple[GripWay, float, float | None, bool]]:
         """The way from now on; how much of it is gone where it begins to lay [m]; the laid length
         to which it goes back, if it does [m]; and whether it was kept though another is better by
         the beliefs: for others that are as likely as these it is not."""
@@ -128,7 +128,7 @@ class Moment:
         return bool(errors[0] < errors[1])
 
     def _corrected(
-        self, way: Way, turn: float, anew: bool = False, share: float = 1.0
+        self, way: GripWay, turn: float, anew: bool = False, share: float = 1.0
     ) -> Course[tuple[np.ndarray, np.ndarray, _Candidate, _Candidate]]:
         """(50,) error that is expected along the pattern before and after [m]; and the way before
         and after it is corrected from now on, which lays rod from `turn` on; or all of it `anew`.
@@ -148,10 +148,10 @@ class Moment:
         cost = c.cost(_SIZE, _ROUGHNESS)
         cost = METRIC_POINTS * lgb**2 * block_diag(cost, _SIZE * np.eye(len(rigid)))
 
-        def moved(values: np.ndarray) -> tuple[Way, np.ndarray]:
+        def moved(values: np.ndarray) -> tuple[GripWay, np.ndarray]:
             placed = beliefs.placed.copy()
             placed[: len(rigid)] += rigid * values[len(columns) :]
-            return Way(c.apply(values[: len(columns)]), way.laid), placed
+            return GripWay(c.apply(values[: len(columns)]), way.laid), placed
 
         def at(values: np.ndarray) -> Course[_Point]:
             ahead, placed = moved(values)

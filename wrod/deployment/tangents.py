@@ -10,10 +10,10 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from wrod.deployment.assembly import assemble
-from wrod.deployment.carried_tangents import Tangents
+from wrod.deployment.carried_tangents import LaidTangents
 from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.grip_path import KEY_INTERVAL
-from wrod.deployment.remembered import Parts, Remembered
+from wrod.deployment.remembered import LaidParts, LastDeployments
 from wrod.deployment.result import interpolation
 from wrod.deployment.setup import Setup, blend, one_hemisphere
 from wrod.deployment.sharing_out import chunks, shared_out
@@ -115,7 +115,7 @@ def lay(
     friction_field: FrictionField | None = None,
     device: str | None = "cpu",
     watch: Watch | None = None,
-    remembered: Sequence[Remembered] | None = None,
+    remembered: Sequence[LastDeployments] | None = None,
 ) -> list[Laid]:
     """Lay rods until the end of their patterns, with the derivatives of what lies.
 
@@ -182,7 +182,7 @@ def _laid(
     device: str,
     friction_field: FrictionField | None,
     progress: Watch,
-    remembered: Remembered | None,
+    remembered: LastDeployments | None,
 ) -> list[Laid]:
     """`lay` of the trials of one batch."""
     moves = [_over_keys(*one) for one in zip(trials, setups, displacements, strict=True)]
@@ -198,9 +198,9 @@ def _laid(
     )
     tangents = None
     if columns is not None:
-        dynamics.follower = tangents = Tangents(batch, contact, *columns)
+        dynamics.follower = tangents = LaidTangents(batch, contact, *columns)
     if remembered is not None:
-        parts, (one,), (setup,) = Parts(batch, contact, dynamics, tangents), trials, setups
+        parts, (one,), (setup,) = LaidParts(batch, contact, dynamics, tangents), trials, setups
         early = [c[0, ~columns[0][0].any(axis=(1, 2))] for c in columns[1:4]] if columns else []
         how = one.disturbance
         told = RodModel.of(one.rod), one.friction, how.lgb_error, how.natural_curvature

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from wrod.deployment.discretisation import USUAL, Discretisation
-from wrod.deployment.remembered import Remembered
+from wrod.deployment.remembered import LastDeployments
 from wrod.deployment.simulate import Trial, nodes_needed
 from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.rods.device import resolve_device
@@ -36,7 +36,7 @@ class Asked:
     trials: list[Trial]
     directions: list[Directions] | None = None
     how: dict[str, Any] = field(default_factory=dict)
-    remembered: list[Remembered] | None = None
+    remembered: list[LastDeployments] | None = None
 
 
 Course = Generator[Asked, list[Laid], T]

@@ -17,7 +17,7 @@ from wrod.planning.trajectory import Trajectory
 _TURN, _SPACING = 0.01, 0.005
 
 
-class Way:
+class GripWay:
     """Poses of a grip over the length that it has gone, forwards and back.
 
     Attributes:
@@ -29,20 +29,20 @@ class Way:
     def __init__(self, path: Trajectory, laid: np.ndarray | None = None):
         self.path, self.laid = path, path.arc_length if laid is None else laid
 
-    def followed_by_tail(self, pattern: Pattern, length: float) -> Way:
+    def followed_by_tail(self, pattern: Pattern, length: float) -> GripWay:
         """The way, and so much of the tail after it [m], as far as there is one."""
         longer = with_tail(self.path, pattern)
-        return self if longer is None else Way(longer).until(self.end + length + 1e-9)
+        return self if longer is None else GripWay(longer).until(self.end + length + 1e-9)
 
     @property
     def end(self) -> float:
         """Length of the whole way [m]."""
         return float(self.path.arc_length[-1])
 
-    def until(self, gone: float) -> Way:
+    def until(self, gone: float) -> GripWay:
         """Its beginning, up to that length [m]."""
         n = int(np.searchsorted(self.path.arc_length, gone, side="right"))
-        return Way(_part(self.path, slice(0, n)), self.laid[:n])
+        return GripWay(_part(self.path, slice(0, n)), self.laid[:n])
 
     def laid_at(self, gone: float) -> float:
         """Laid length [m] where so much of the way is gone."""
@@ -54,7 +54,7 @@ class Way:
         """Of the poses beyond `first`, the same for all beyond `last` [m of the way]."""
         return Corrections(pattern, self.path, lgb, first, self.laid, last, rise)
 
-    def back(self, gone: float, to: float) -> tuple[Way, float]:
+    def back(self, gone: float, to: float) -> tuple[GripWay, float]:
         """From where `gone` [m] is gone back until `to` [m] is laid, and on from there as the way
         would have gone; and the length that is gone at the turn [m].
 
@@ -91,7 +91,7 @@ class Way:
             shape=None,
             twist=None,
         )
-        return Way(path, np.concatenate([self.laid[:n], s])), float(start + turn)
+        return GripWay(path, np.concatenate([self.laid[:n], s])), float(start + turn)
 
 
 def _part(trajectory: Trajectory, chosen: slice) -> Trajectory:

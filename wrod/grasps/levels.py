@@ -65,10 +65,10 @@ def make_task(
     increment: wp.array,
     closure: int,
     force_done: float = 0.0,
-) -> iteration.Task:
+) -> iteration.IterationTask:
     """`model` are (stretch ratio, target curvature, weight), (rod,) each; `force_done` is what
     change of the force does not matter."""
-    task = iteration.Task()
+    task = iteration.IterationTask()
     _, task.target, task.weight = model
     task.tolerance, task.increment, task.closure = tolerance, increment, closure
     task.force_done = force_done

@@ -32,7 +32,7 @@ _BEGIN = {
 
 
 @dataclass(frozen=True)
-class Pair:
+class TwoHands:
     """Two hands that pull.
 
     Attributes:
@@ -58,7 +58,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class PullOutcome:
     """How scenes took a pull.
 
     Attributes:
@@ -80,12 +80,12 @@ class Outcome:
 
 def keep_up(
     bench: Workbench,
-    pair: Pair,
+    pair: TwoHands,
     load: float,
     give: float,
     film: Callable[[list[Poses]], object] | None = None,
     film_ticks: int = 1,
-) -> Outcome:
+) -> PullOutcome:
     """Pull with two hands that hold their rods; let the knot come to rest for `SETTLE` seconds, and
     keep the pull up for `HOLD` more.
 
@@ -127,7 +127,7 @@ def keep_up(
     crept = np.nan_to_num(share.sum() * np.abs(way - tight_way))
     kept = (read(pull.kept) != 0) & (read(pull.lowest) >= _KEPT * load)
     nodes = node_positions(read(tight))
-    return Outcome(
+    return PullOutcome(
         bench.load(),
         read(pull.strongest),
         crept,
@@ -137,14 +137,14 @@ def keep_up(
     )
 
 
-def _pull(pair: Pair, carried: np.ndarray, load: float, device: str) -> hands.Pull:
+def _pull(pair: TwoHands, carried: np.ndarray, load: float, device: str) -> hands.PullApart:
     """A pull that begins, for kernels."""
     lengths = np.linalg.norm(pair.ways, axis=1)
 
     def array(values, dtype=wp.float64) -> wp.array:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
 
-    pull, scenes = hands.Pull(), len(carried)
+    pull, scenes = hands.PullApart(), len(carried)
     pull.start, pull.floor = array(pair.starts, wp.vec3d), array(pair.floor)
     pull.direction = array(pair.ways / lengths[:, None], wp.vec3d)
     pull.share, pull.length, pull.speed = array(lengths / lengths.max()), lengths.max(), pair.speed
@@ -167,7 +167,7 @@ def pull(run: TyingRun) -> None:
     approach(run, dict(enumerate(starts)))
     ways = np.array([[*one.direction, 0.0] for one in knot.pull])
     ways *= ([one.distance for one in knot.pull] / np.linalg.norm(ways, axis=1))[:, None]
-    pair = Pair(starts, ways, 0.5 * run.hand_speed, run.upright, run.misses(), tuple(heights))
+    pair = TwoHands(starts, ways, 0.5 * run.hand_speed, run.upright, run.misses(), tuple(heights))
     for hand, (one, poses) in enumerate(zip(knot.pull, pair.poses(0), strict=True)):
         run.grasp(hand, one.rod, "pull", poses, tied)
         run.closed[tied, hand] = True

@@ -18,7 +18,7 @@ from wrod.kernels.stepping.trace import drop, spoil
 from wrod.newton_solver.carried_gradients import CarriedGradients
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.meeting_gradients import MeetingGradients
-from wrod.newton_solver.taken_steps import STATE, Ends, Taken, gradient_of, numbers_of
+from wrod.newton_solver.taken_steps import STATE, StepEnd, Taken, gradient_of, numbers_of
 from wrod.newton_solver.tapes import off_tape, recorded
 from wrod.rods.discretisation import of_free_part
 from wrod.solvers.adjoint import StepAdjoint
@@ -142,7 +142,7 @@ class GroupGradients:
             self._is_held = bool((group.hold.numpy()["body"] >= 0).any())
         return self._adjoint
 
-    def read(self, taken: Taken, ends: Ends) -> None:
+    def read(self, taken: Taken, ends: StepEnd) -> None:
         """Take up what is wanted of the arrays that the step wrote."""
         group, adjoint, record = self.group, self._prepare(), taken.record
         adjoint.clear()
@@ -178,7 +178,7 @@ class GroupGradients:
                 [numbers_of(by_poses, 7, group.device), by_speeds, adjoint.bodies.now],
             )
 
-    def go_back(self, taken: Taken, ends: Ends) -> None:
+    def go_back(self, taken: Taken, ends: StepEnd) -> None:
         """Add what is wanted of the arrays that the step read."""
         group, adjoint = self.group, self._prepare()
         by_poses = gradient_of(ends.body_q, 7, group.device)
@@ -257,7 +257,7 @@ class GroupGradients:
             taken.previous.wanted_of_poses = by_before
         self._want_properties(adjoint)
 
-    def _want_bodies(self, bodies: BodyAdjoint, taken: Taken, ends: Ends) -> None:
+    def _want_bodies(self, bodies: BodyAdjoint, taken: Taken, ends: StepEnd) -> None:
         """Of the bodies that move with the rods, to the arrays that the step read."""
         batch, adjoint, body = self.group.batch, self._prepare(), bodies.bodies.body
         batch.launch(
@@ -340,7 +340,7 @@ class Gradients:
             for group in self._groups:
                 group.rest()
             return None
-        before, after = Ends.of(state_in, moved), Ends.of(state_out)
+        before, after = StepEnd.of(state_in, moved), StepEnd.of(state_out)
         for group in self._groups:
             group.listen(parts)
         director = wp.clone(state_in.der.edge_director, requires_grad=False)
@@ -351,7 +351,7 @@ class Gradients:
 
         return put
 
-    def _put(self, tape: wp.Tape, before: Ends, after: Ends, taken: list[Taken]) -> None:
+    def _put(self, tape: wp.Tape, before: StepEnd, after: StepEnd, taken: list[Taken]) -> None:
         steps = list(zip(self._groups, taken, strict=True))
 
         def backward() -> None:

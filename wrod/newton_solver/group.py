@@ -78,7 +78,7 @@ class RodGroup:
         compile_steps(device, "simulator", *self.more)
         self.worlds = model.der.rod_world.numpy()[rows[:, 0]]
         self.layout = layout = Layout(model, rows, holds)
-        self.place = wp.array(layout.places, dtype=exchange.Place, device=device)
+        self.place = wp.array(layout.places, dtype=exchange.OutsideNode, device=device)
         self.capsules = wp.array(layout.capsules(), dtype=wp.int32, device=device)
         self.batch = layout.make_batch(self._gravity())
         owned, slots = find_owned(model, rows, holds, own)

@@ -5,7 +5,7 @@ from newton import Model
 
 from wrod.errors import RodError
 from wrod.kernels.stepping.bodies import Hold
-from wrod.kernels.stepping.exchange import Place
+from wrod.kernels.stepping.exchange import OutsideNode
 from wrod.newton_solver.attributes import CLAMPED, FREE
 from wrod.newton_solver.holds import Holds
 from wrod.rods.batch import RodBatch
@@ -31,7 +31,7 @@ class Layout:
         holds: what holds them.
 
     Attributes:
-        places: (row, node) records of `wrod.kernels.stepping.exchange.Place`.
+        places: (row, node) records of `wrod.kernels.stepping.exchange.OutsideNode`.
         rod: (row, node) the rod of each node.
         ghost: (row, node) whether a node is inside a clamp.
         cuts: indices of the cut edges.
@@ -63,7 +63,7 @@ class Layout:
             columns.append(places)
             self.cuts = tuple(ends[:-1])
         table = np.array(columns, dtype=np.int64)
-        self.places = np.zeros(table.shape[:2], dtype=Place.numpy_dtype())
+        self.places = np.zeros(table.shape[:2], dtype=OutsideNode.numpy_dtype())
         for k, name in enumerate(("node", "edge", "owns", "along", "ghost")):
             self.places[name] = table[..., k]
         self.rod, self.ghost = table[..., 5], table[..., 4] != 0

@@ -30,7 +30,7 @@ def gradient_of(array: wp.array | None, columns: int, device) -> wp.array:
 
 
 @dataclass(eq=False)
-class Ends:
+class StepEnd:
     """Arrays that a step has read or written: of `STATE`, the poses of bodies that others move,
     and poses, velocities and forces of those that move with rods."""
 
@@ -39,7 +39,7 @@ class Ends:
     own: tuple[wp.array | None, ...]
 
     @classmethod
-    def of(cls, state: newton.State, poses: newton.State | None = None) -> Ends:
+    def of(cls, state: newton.State, poses: newton.State | None = None) -> StepEnd:
         rods = tuple(getattr(state.der, name) for name in STATE)
         if any(a.grad is None for a in rods):
             raise RodError(

@@ -61,7 +61,7 @@ class CameraIntrinsics:
 
 
 @dataclass(frozen=True)
-class Plane:
+class SeenPlane:
     """The table as seen by the camera.
 
     Attributes:
@@ -87,7 +87,7 @@ class Plane:
     @needed_extras()
     def from_markers(
         cls, image: np.ndarray, layout: MarkerLayout, camera: CameraIntrinsics | None = None
-    ) -> Plane:
+    ) -> SeenPlane:
         """From the ArUco markers (DICT_4X4_50, ids 0 to 3) in a picture.
 
         Raises:
@@ -114,7 +114,7 @@ class Plane:
     @classmethod
     def from_sheet(
         cls, image: np.ndarray, size: tuple[float, float], camera: CameraIntrinsics | None = None
-    ) -> Plane:
+    ) -> SeenPlane:
         """From the four corners of a bright sheet (width, height) [m] on a darker table.
 
         The origin is its lower left corner in the picture, x right and y up.
@@ -133,7 +133,7 @@ class Plane:
     @classmethod
     def from_scale(
         cls, metres_per_pixel: float, height: int, camera: CameraIntrinsics | None = None
-    ) -> Plane:
+    ) -> SeenPlane:
         """A camera that looks straight down: origin at the picture's lower left pixel, y up.
 
         Args:
@@ -182,7 +182,7 @@ class MarkerLayout:
             )
         return cls(corners, found.paper_size_m)
 
-    def region(self, plane: Plane, shape: tuple[int, int]) -> np.ndarray:
+    def region(self, plane: SeenPlane, shape: tuple[int, int]) -> np.ndarray:
         """(H, W) uint8, 255 on the sheet and beside its markers, where strokes may be."""
         import cv2
 

@@ -13,7 +13,7 @@ from wrod.errors import PerceptionError, WrodWarning, needed_extras
 from wrod.patterns.curve import arc_length
 from wrod.perception.gaps import join_gaps
 from wrod.perception.image import as_image, is_mask, read_image
-from wrod.perception.metric import CameraIntrinsics, MarkerLayout, Plane
+from wrod.perception.metric import CameraIntrinsics, MarkerLayout, SeenPlane
 from wrod.perception.refine import resample
 from wrod.perception.segment import segment
 from wrod.perception.trace import Centerline, trace_mask
@@ -45,7 +45,7 @@ class Scan:
     image: np.ndarray
     mask: np.ndarray
     lines: list[Centerline]
-    plane: Plane | None = None
+    plane: SeenPlane | None = None
     dots: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def metric_lines(self) -> list[np.ndarray]:
@@ -273,20 +273,22 @@ def _start_point(result: Scan, start: str | tuple[float, float]) -> np.ndarray:
     )
 
 
-def _plane(picture, markers, sheet, scale, camera) -> tuple[Plane | None, np.ndarray | None]:
+def _plane(picture, markers, sheet, scale, camera) -> tuple[SeenPlane | None, np.ndarray | None]:
     if markers is not None:
         layout = markers if isinstance(markers, MarkerLayout) else MarkerLayout.load(markers)
-        plane = Plane.from_markers(picture, layout, camera)
+        plane = SeenPlane.from_markers(picture, layout, camera)
         return plane, layout.region(plane, picture.shape[:2])
     if sheet is not None:
-        plane = Plane.from_sheet(picture, sheet, camera)
+        plane = SeenPlane.from_sheet(picture, sheet, camera)
         return plane, _sheet_region(plane, sheet, picture.shape[:2])
     if scale is not None:
-        return Plane.from_scale(scale, picture.shape[0], camera), None
+        return SeenPlane.from_scale(scale, picture.shape[0], camera), None
     return None, None
 
 
-def _sheet_region(plane: Plane, size: tuple[float, float], shape: tuple[int, int]) -> np.ndarray:
+def _sheet_region(
+    plane: SeenPlane, size: tuple[float, float], shape: tuple[int, int]
+) -> np.ndarray:
     import cv2
 
     low, high = 0.02 * np.array(size), 0.98 * np.array(size)

@@ -37,7 +37,7 @@ class Solution:
 
 
 @dataclass
-class Task:
+class ArmTask:
     """What is asked for: an arm, a path, and what it must keep.
 
     Attributes:

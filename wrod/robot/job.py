@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.errors import RobotError
 from wrod.robot.arm import ARM_ROOM, LINK_ROOM, Arm, gap_between
-from wrod.robot.attempt import Task, hanging_rod
+from wrod.robot.attempt import ArmTask, hanging_rod
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import refine, solve_poses
 from wrod.robot.placement import contact_in_base, foot, reach
@@ -49,7 +49,7 @@ class _Piece:
     laid: np.ndarray | float
 
 
-def with_job(path: JointPath, task: Task) -> JointPath:
+def with_job(path: JointPath, task: ArmTask) -> JointPath:
     """A joint path with approach, grasp, release and retreat around its laying.
 
     Args:
@@ -88,7 +88,7 @@ def with_job(path: JointPath, task: Task) -> JointPath:
     return _joined(path, pieces, rate, said)
 
 
-def _ways(arm: Arm, task: Task, path: JointPath):
+def _ways(arm: Arm, task: ArmTask, path: JointPath):
     """Neutral pose (n,) [rad], way from it to the first pose, way back to it from where the hand
     opens, the `LaidTail` before that or None, the stand's capsules or None, and whether it stays.
 
@@ -122,7 +122,7 @@ def _ways(arm: Arm, task: Task, path: JointPath):
     )
 
 
-def _stands(arm: Arm, task: Task, path: JointPath, tail: LaidTail | None):
+def _stands(arm: Arm, task: ArmTask, path: JointPath, tail: LaidTail | None):
     """Stands to try, each with whether it stays: one that can, the freest, and last None."""
     start, end, radius = arm.capsules(path.positions[:1])
     posts = stands(task.trajectory, (start[0], end[0], radius))
@@ -137,7 +137,7 @@ def _stands(arm: Arm, task: Task, path: JointPath, tail: LaidTail | None):
     yield None, False
 
 
-def _between(arm: Arm, task: Task, first, last, before, after):
+def _between(arm: Arm, task: ArmTask, first, last, before, after):
     """Neutral pose, way there and way back, and None; or None and the pose of the grip, "first" or
     "last", to which there is none, or None where there is no neutral pose."""
     poses = neutral_poses(arm, task, first, last, [o for o in (before, after) if o is not None])
@@ -153,7 +153,7 @@ def _between(arm: Arm, task: Task, first, last, before, after):
     return None, where
 
 
-def neutral_poses(arm: Arm, task: Task, first, last, around: list) -> np.ndarray:
+def neutral_poses(arm: Arm, task: ArmTask, first, last, around: list) -> np.ndarray:
     """Joint positions (m, n) [rad] with the hand down, clear of everything, the nearest to the
     first and the last pose of the path first.
 
@@ -197,7 +197,7 @@ def neutral_poses(arm: Arm, task: Task, first, last, around: list) -> np.ndarray
     return q[clear]
 
 
-def _around(arm: Arm, task: Task, node: int, stand: list | None = None):
+def _around(arm: Arm, task: ArmTask, node: int, stand: list | None = None):
     """Capsules (1, C, 3), (1, C, 3), (C,) in the table's frame of what stands in the way, or
     None."""
     starts, ends, radii = [], [], []

@@ -12,7 +12,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import RobotError, WrodWarning, needed_extras
 from wrod.planning.trajectory import Trajectory
-from wrod.robot.attempt import Solution, Task
+from wrod.robot.attempt import ArmTask, Solution
 from wrod.robot.collision import CollisionModel
 from wrod.robot.grip import TravelledPath
 from wrod.robot.job import with_job
@@ -35,7 +35,7 @@ class UnreachedError(RobotError):
         task, best, places: what was asked for, the nearest solution, and the places tried.
     """
 
-    def __init__(self, message: str, task: Task, best: Solution, places: list[Placement]):
+    def __init__(self, message: str, task: ArmTask, best: Solution, places: list[Placement]):
         super().__init__(message)
         self.task, self.best, self.places = task, best, places
 
@@ -121,7 +121,7 @@ def solve_joint_path(
         raise RobotError("a placement has the table's height in it; drop the table height")
     with one_torch_thread():
         arm, rod = load_robot(robot), trajectory.rod
-        task = Task(
+        task = ArmTask(
             arm,
             CollisionModel(arm),
             trajectory,
@@ -139,7 +139,7 @@ def solve_joint_path(
         return path if obstacles is None else replace(path, obstacles=tuple(obstacles.shapes))
 
 
-def _places(task: Task, fixed: Placement | None, table_height) -> list[Placement]:
+def _places(task: ArmTask, fixed: Placement | None, table_height) -> list[Placement]:
     """Where the pattern may lie: at the given place, or at those that keep it within reach."""
     arm = task.robot
     heights = None if table_height is None else (float(table_height),)
@@ -164,14 +164,14 @@ def _places(task: Task, fixed: Placement | None, table_height) -> list[Placement
     return free[:_PLACES]
 
 
-def _solved(task: Task, places: list[Placement], angles, fixed: Placement | None) -> Solution:
+def _solved(task: ArmTask, places: list[Placement], angles, fixed: Placement | None) -> Solution:
     best = attempt(task, places, angles, fixed is not None)
     if best.report.problem is not None:
         raise UnreachedError(_failure(best, fixed, task), task, best, places)
     return best
 
 
-def _with_job(path: JointPath, task: Task) -> JointPath:
+def _with_job(path: JointPath, task: ArmTask) -> JointPath:
     """The path with approach and retreat; as it is, with a warning, where there is no way."""
     try:
         return with_job(path, task)
@@ -182,7 +182,7 @@ def _with_job(path: JointPath, task: Task) -> JointPath:
         return replace(path, metadata={**path.metadata, "no_approach": str(error)})
 
 
-def attempt(task: Task, places: list[Placement], angles, fixed: bool) -> Solution:
+def attempt(task: ArmTask, places: list[Placement], angles, fixed: bool) -> Solution:
     """The first grip angle with a feasible path; else the best found near the best branches, as far
     as the task's time goes."""
     best: Solution | None = None
@@ -214,7 +214,7 @@ def _better(best: Solution | None, found: Solution) -> Solution:
     return found if best is None or found.report.shortfall < best.report.shortfall else best
 
 
-def _others(task: Task, promising: list[Branch], fixed: bool) -> Iterator[tuple[Branch, bool]]:
+def _others(task: ArmTask, promising: list[Branch], fixed: bool) -> Iterator[tuple[Branch, bool]]:
     """Branches near the promising ones: by chance, then by derivatives, which improve them."""
     near = []
     for branch in promising[:_REFINED]:
@@ -225,7 +225,7 @@ def _others(task: Task, promising: list[Branch], fixed: bool) -> Iterator[tuple[
         yield vary(task, branch, fixed), True
 
 
-def _failure(best: Solution, fixed: Placement | None, task: Task) -> str:
+def _failure(best: Solution, fixed: Placement | None, task: ArmTask) -> str:
     where = f"placed at {best.branch.placement}" if fixed else "at the best placement found"
     what_to_do = "move the pattern or use placement 'auto'" if fixed else "use a smaller pattern"
     turned, room = turning(task)
@@ -238,7 +238,7 @@ def _failure(best: Solution, fixed: Placement | None, task: Task) -> str:
     return f"no joint path {where}: {best.report.problem}; {what_to_do}"
 
 
-def turning(task: Task) -> tuple[float, float]:
+def turning(task: ArmTask) -> tuple[float, float]:
     """How far the pattern turns the hand from one side to the other, and how far the arm's last
     joint, which follows it, can turn [rad]."""
     turned = float(np.ptp(headings(task.trajectory)))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wrod.planning.tail import with_tail
-from wrod.robot.attempt import Task
+from wrod.robot.attempt import ArmTask
 from wrod.robot.grip import TravelledPath
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import refine
@@ -27,10 +27,10 @@ class LaidTail:
     positions: np.ndarray
     velocities: np.ndarray
     arc_length: np.ndarray
-    task: Task
+    task: ArmTask
 
 
-def tails(path: JointPath, task: Task):
+def tails(path: JointPath, task: ArmTask):
     """Ways on from the end of a joint path that lay the tail, the longest first.
 
     The arm goes on from where it is, with least motion, at the same hold of the rod; as far as it
@@ -60,7 +60,7 @@ def tails(path: JointPath, task: Task):
             yield found
 
 
-def _followed(path: JointPath, task: Task, begin: float, end: float) -> LaidTail | None:
+def _followed(path: JointPath, task: ArmTask, begin: float, end: float) -> LaidTail | None:
     """The way between two points of the task's travel [m], None where the arm cannot go it."""
 
     def targets(at):

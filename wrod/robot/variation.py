@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from wrod.robot.attempt import Task
+from wrod.robot.attempt import ArmTask
 from wrod.robot.grip import Grip
 from wrod.robot.kinematics import null_basis, refine
 from wrod.robot.redundancy import PathCost
@@ -35,7 +35,7 @@ _STILL = 3e-3  # share of the cost that a step must save
 class _Freedom:
     """Placement and grip about those of a branch, by unknowns in `_UNITS`."""
 
-    def __init__(self, task: Task, branch: Branch, fixed: bool):
+    def __init__(self, task: ArmTask, branch: Branch, fixed: bool):
         self.task, self.branch = task, branch
         free = [not fixed] * 3 + [True, True, task.free_height and not fixed]
         self.which = np.flatnonzero(free)
@@ -56,7 +56,7 @@ class _Freedom:
         return task.targets(place, grip, task.travel), task.surroundings(place, task.travel)
 
 
-def vary(task: Task, branch: Branch, fixed: bool) -> Branch:
+def vary(task: ArmTask, branch: Branch, fixed: bool) -> Branch:
     """A branch near one that keeps the joints' limits better, and its miss 0 where it is followed.
 
     Args:

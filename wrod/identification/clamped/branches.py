@@ -25,7 +25,7 @@ _FALLS = 4
 
 
 @dataclass(frozen=True)
-class Branch:
+class FoundBranch:
     """What is known of the equilibria of one trial.
 
     Attributes:
@@ -88,7 +88,7 @@ def to_measured(solver, setups, shape: np.ndarray) -> None:
 
 def settle(
     solver, setups, walked: np.ndarray, shape: np.ndarray | None, measured: _Tried | None
-) -> list[Branch]:
+) -> list[FoundBranch]:
     """Put every rod of a `ClampedSolver` that was led to its poses on its branch.
 
     Args:
@@ -119,7 +119,7 @@ def settle(
     return _chosen(solver, tried, float(np.real(setups[0].length)))
 
 
-def _chosen(solver, tried: list[_Tried], length: float) -> list[Branch]:
+def _chosen(solver, tried: list[_Tried], length: float) -> list[FoundBranch]:
     out = []
     picks = np.zeros(len(tried[0].reached), dtype=int)
     for r in range(len(picks)):
@@ -137,9 +137,8 @@ def _chosen(solver, tried: list[_Tried], length: float) -> list[Branch]:
         # Where the rod was led to is preferred unless another one is clearly nearer.
         best = min(pool, key=lambda k: (tried[k].away[r] + _SAME * length * (k > 0), k))
         picks[r] = best
-        out.append(
-            Branch(int(tried[best].negative[r]), len(distinct) or len(ranked), tried[best].start)
-        )
+        negative, start = int(tried[best].negative[r]), tried[best].start
+        out.append(FoundBranch(negative, len(distinct) or len(ranked), start))
     for k, t in enumerate(tried):
         if (picks == k).any():
             solver.restore(t.state, picks == k)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import DataError
-from wrod.identification.clamped.branches import Branch, from_measured, settle
+from wrod.identification.clamped.branches import FoundBranch, from_measured, settle
 from wrod.identification.clamped.layout import (
     batch_arrays,
     coupling_of,
@@ -68,7 +68,7 @@ class ClampedSolver:
         self._equilibria = EquilibriumSolver(self.batch)
         self.principal = np.zeros(self.batch.rod_count)
         self.negative = np.zeros(self.batch.rod_count, dtype=int)
-        self.branches: list[Branch] = []
+        self.branches: list[FoundBranch] = []
         if start is None:
             self._find(setups, poses, shape)
         else:
@@ -175,12 +175,12 @@ class ClampedSolver:
             straight = self.saved()
             measured, certain = from_measured(self, setups, shape)
             if certain.all():
-                self.branches = [Branch(0, 1, "measured")] * count
+                self.branches = [FoundBranch(0, 1, "measured")] * count
                 return
             self.restore(straight)
         walked = self._walk_to(setups, poses)
         if walked.all() and measured is None and not self.negative.any():
-            self.branches = [Branch(0, 1, "straight")] * count
+            self.branches = [FoundBranch(0, 1, "straight")] * count
             return
         self.branches = settle(self, setups, walked, shape, measured)
         lost = [b.found == 0 for b in self.branches]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod import arguments
-from wrod.identification.clamped.branches import Branch
+from wrod.identification.clamped.branches import FoundBranch
 from wrod.identification.clamped.clock import Clock
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
@@ -59,7 +59,7 @@ class IdentificationReport(Report):
     noise: NoiseModel
     missing: int
     outliers: np.ndarray
-    branches: tuple[Branch, ...]
+    branches: tuple[FoundBranch, ...]
 
     @property
     def out_of_time(self) -> bool:

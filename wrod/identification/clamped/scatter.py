@@ -30,7 +30,7 @@ OUTWEIGHS = 5.0
 
 
 @dataclass(frozen=True)
-class Scatter:
+class TrialScatter:
     """What changes from trial to trial, where a model leaves nothing else.
 
     Attributes:
@@ -59,7 +59,7 @@ class Scatter:
 
 def what_is_left(
     laboratory: Laboratory, model: Model, values: np.ndarray, trials: np.ndarray
-) -> tuple[Scatter | None, str]:
+) -> tuple[TrialScatter | None, str]:
     """(the scatter that is all that a model leaves in `trials`, None where it is not; what changes
     while it is measured, a phrase, empty where nothing does).
 
@@ -97,4 +97,4 @@ def what_is_left(
             shown = 1e3 if unit == "m" else 180.0 / np.pi
             of = "mm" if unit == "m" else "deg"
             sizes[name] = Estimate(float(shown * size), float(shown * error), of)
-    return Scatter(noise, sizes, float(np.sqrt(squares))), ""
+    return TrialScatter(noise, sizes, float(np.sqrt(squares))), ""

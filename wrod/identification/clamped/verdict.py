@@ -8,7 +8,7 @@ import numpy as np
 from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.scatter import Scatter, what_is_left
+from wrod.identification.clamped.scatter import TrialScatter, what_is_left
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Effect, Model
 from wrod.identification.verdict import CLAMPED, CORRELATED
@@ -70,7 +70,7 @@ class Selection:
     at_bound: tuple[str, ...] = ()
     confounded: list[dict] = field(default_factory=list)
     out_of_time: bool = False
-    scatter: Scatter | None = None
+    scatter: TrialScatter | None = None
     changing: str = ""
     doubts: dict[int, Fit] = field(default_factory=dict)
 

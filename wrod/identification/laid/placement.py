@@ -46,7 +46,7 @@ class Alignment:
 
 
 @dataclass(frozen=True)
-class Parts:
+class MissesByPart:
     """Where a prediction misses: mean distance [m] of the points seen of a rod's first stretch on
     the table, of the rest that lies there and of what hangs (nan where nothing is seen), and each
     part's share of all squares."""
@@ -61,14 +61,14 @@ def parts_of(
     arc_length: np.ndarray,
     nodes: np.ndarray,
     first: float,
-) -> Parts:
+) -> MissesByPart:
     """The parts of a rod (node,), (node, 3) that was seen and placed, `first` long the first."""
     s = foot(photograph, placed, arc_length)
     hangs = np.interp(s, arc_length, nodes[:, 2]) > _LYING
     begins = (s - arc_length[0] < first) & ~hangs
     masks = begins, ~begins & ~hangs, hangs
     square = placed.distance**2
-    return Parts(
+    return MissesByPart(
         tuple(float(placed.distance[k].mean()) if k.any() else float("nan") for k in masks),
         tuple(float(square[k].sum() / square.sum()) for k in masks),
     )

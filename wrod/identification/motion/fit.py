@@ -14,7 +14,7 @@ import numpy as np
 from wrod.errors import RodError
 from wrod.identification.effect import Model
 from wrod.identification.motion.data import MotionMeasurements
-from wrod.identification.motion.remembered import Remembered
+from wrod.identification.motion.remembered import KnownSteps
 from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.solver import MotionSolver
 from wrod.identification.motion.tangents import COMPLEX_STEP
@@ -93,7 +93,7 @@ class MotionLaboratory:
         substeps: int = 1,
         device: str = "cpu",
         free_roll: bool = False,
-        remembered: Remembered | None = None,
+        remembered: KnownSteps | None = None,
     ):
         self.measurements, self.subdivisions = measurements, subdivisions
         self.remembered = remembered

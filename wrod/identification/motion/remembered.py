@@ -20,7 +20,7 @@ from wrod.files.ledger import Ledger
 from wrod.identification.motion.data import MotionMeasurements
 
 
-class Remembered:
+class KnownSteps:
     """Arrays by what they were computed from.
 
     Args:

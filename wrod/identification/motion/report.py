@@ -16,7 +16,7 @@ from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.fit import MotionLaboratory
 from wrod.identification.motion.loading import load_motion
 from wrod.identification.motion.pace import check_pace
-from wrod.identification.motion.remembered import Remembered
+from wrod.identification.motion.remembered import KnownSteps
 from wrod.identification.motion.residual import Residual, residual_of
 from wrod.identification.motion.selection import BASE, MotionSelection, select_motion, verdict_of
 from wrod.identification.motion.setup import SLENDER, START_L_GB, MotionSetup
@@ -192,7 +192,7 @@ def identify_motion(
     m, chosen = as_asked("motion", MotionMeasurements, load_motion, *asked)
     device = resolve_device(device)
     check_pace(m, device=device)
-    remembered = None if steps is None else Remembered(Path(steps), m)
+    remembered = None if steps is None else KnownSteps(Path(steps), m)
     laboratory = MotionLaboratory(
         m, subdivisions=subdivisions, device=device, remembered=remembered
     )

@@ -10,7 +10,7 @@ import warp as wp
 from wrod.identification.motion.layout import rods_on_mesh
 from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.start import first_nodes, held_ends
-from wrod.identification.motion.tangents import SPIN_INERTIA, Tangents, kind_of, node_columns
+from wrod.identification.motion.tangents import SPIN_INERTIA, MotionTangents, kind_of, node_columns
 from wrod.identification.motion.windows import Windows
 from wrod.kernels.stepping import motion as kernels
 from wrod.kernels.stepping.viscosity import measure_strains
@@ -146,7 +146,7 @@ class MotionRun:
         self.offset = wp.array(offset, dtype=wp.vec3d, device=device)
         shape = (self.batch.rod_count, frames, self.place.shape[0])
         self.seen = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        self.tangents = Tangents(self, setup, rates) if len(rates) else None
+        self.tangents = MotionTangents(self, setup, rates) if len(rates) else None
         self._twist()
         # The material damps stretching as it damps bending.
         viscous = values["viscous_time"][:, [0, 1, 2, 0]]

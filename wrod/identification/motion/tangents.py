@@ -51,7 +51,7 @@ class Run(Protocol):
     grip_tangent: wp.array
 
 
-class Tangents:
+class MotionTangents:
     """Tangents of a run by every parameter; a follower of its `Dynamics`.
 
     Args:
