@@ -1,4 +1,4 @@
-"""Looking at inputs where they are."""
+"""Refusing inputs of grasps that are out of bounds, on the device where they are."""
 
 import warp as wp
 

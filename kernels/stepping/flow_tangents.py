@@ -1,6 +1,6 @@
-"""What a tangent of a deployment feels of the rod's shape at rest: its own rate, and the flow that
-internal damping makes of it (`viscosity`), which remembers the strains of two steps, or what
-moments that relax leave of them."""
+"""Tangents of a rod's strains, and what they feel of its shape at rest: of its own rate, and of the
+flow that internal damping makes of it (`viscosity`), which remembers the strains of two steps, or
+what moments that relax leave of them."""
 
 from typing import Any
 

@@ -5,8 +5,8 @@ import warp as wp
 from wrod.kernels.elastic.curvature import stencil
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.stepping.flow_tangents import along, strain_rate, strains_at
-from wrod.kernels.stepping.motion import frame_of
 from wrod.kernels.stepping.motion_tangents import column_node
+from wrod.kernels.stepping.observed import frame_of
 from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.viscosity import measured, relaxed_strain
 
@@ -97,7 +97,7 @@ def observe_tangents(
     # Out: (rod, frame, marker, column)
     rate_out: wp.array4d(dtype=wp.vec3d),
 ):
-    """Rates of what `wrod.kernels.stepping.motion.observe` sees."""
+    """Rates of what `wrod.kernels.stepping.observed.observe` sees."""
     r, k, group = wp.tid()
     frame = frame_of(accepted[r], time[r], substeps, rate)
     if frame < 0:

@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.expectation import FINE, PACE
-from wrod.deployment.places import FrictionModes
+from wrod.deployment.friction_modes import FrictionModes
 from wrod.deployment.remembered import LastDeployments
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, interpolated

@@ -19,7 +19,7 @@ from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.body_adjoint import BodyAdjoint
 from wrod.solvers.contact_adjoint import ContactAdjoint
 from wrod.solvers.dynamics import Dynamics
-from wrod.solvers.flow_adjoint import FlowAdjoint
+from wrod.solvers.inelastic_adjoint import InelasticAdjoint
 from wrod.solvers.inertia import add_inertia
 from wrod.solvers.pair_adjoint import LawShares, PairAdjoint
 from wrod.solvers.property_adjoint import PropertyAdjoint
@@ -111,7 +111,7 @@ class StepAdjoint:
         self.by_friction, self.by_shape = self._contact.by_friction, self._contact.by_shape
         turns = self._by_end, self._by_start
         self._pairs = PairAdjoint.of(dynamics, self.step, turns, pair_law)
-        self._past = None if batch.inelastic is None else FlowAdjoint(batch)
+        self._past = None if batch.inelastic is None else InelasticAdjoint(batch)
         skew, rate = floats(0), floats(0, 0, dtype=wp.vec2d)
         if self._past is not None:
             skew, rate = self._past.skew, self._past.rate

@@ -12,7 +12,7 @@ from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.start import first_nodes, held_ends
 from wrod.identification.motion.tangents import SPIN_INERTIA, MotionTangents, kind_of, node_columns
 from wrod.identification.motion.windows import Windows
-from wrod.kernels.stepping import motion as kernels
+from wrod.kernels.stepping import observed as kernels
 from wrod.kernels.stepping.viscosity import measure_strains
 from wrod.rods.state import RodState
 from wrod.solvers.dynamics import Dynamics

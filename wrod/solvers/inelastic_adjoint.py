@@ -11,7 +11,7 @@ from wrod.kernels.stepping import inelastic_adjoint as kernels
 from wrod.rods.batch import RodBatch
 
 
-class FlowAdjoint:
+class InelasticAdjoint:
     """Goes through memory backwards, with the steps of `wrod.solvers.adjoint.StepAdjoint`.
 
     Attributes:
