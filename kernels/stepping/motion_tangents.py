@@ -151,8 +151,7 @@ def elastic_tangents(
     r, i, group = wp.tid()
     if pace.accepted[r] == 0:
         return
-    coefficient = pace.coefficient[r]
-    dt = pace.step[r]
+    c = pace.coefficient[r] / pace.step[r]
     columns = right_hand_side.shape[0] // pace.accepted.shape[0]
     shared = stiffness_rate.shape[0] == columns
     first_column = group * per_thread
@@ -166,13 +165,12 @@ def elastic_tangents(
     stretch = length_e / rest_e - ONE
     m = wp.min(r, stiffness.shape[0] - 1)
     damped = viscous_time[m, i][0]
-    c = coefficient / (dt * rest_e)
-    stretching_flow = c[0] * length_e + c[1] * before[3] + c[2] * older[3]
+    stretching_flow = (c[0] * length_e + c[1] * before[3] + c[2] * older[3]) / rest_e
     for j in range(first_column, last_column):
         row = r * columns + j
         q = wp.where(shared, j, row)
         past = c[1] * strain_tangent_before[r, j, i] + c[2] * strain_tangent_older[r, j, i]
-        faster = past[3] - stretching_flow * rest_length_rate[q, i] / rest_e
+        faster = (past[3] - stretching_flow * rest_length_rate[q, i]) / rest_e
         pull = stretching_rate[q, i] * (stretch + damped * stretching_flow)
         pull -= stretching[m, i] * length_e / (rest_e * rest_e) * rest_length_rate[q, i]
         pull += stretching[m, i] * (viscous_time_rate[q, i][0] * stretching_flow + damped * faster)
@@ -183,13 +181,8 @@ def elastic_tangents(
         return
     length = HALF * (rest_length[r, i - 1] + rest_length[r, i])
     now = strain(dof, director, reference_twist, r, i)
-    flow = rate(
-        coefficient,
-        dt,
-        now,
-        wp.vec3d(before[0], before[1], before[2]),
-        wp.vec3d(older[0], older[1], older[2]),
-    )
+    remembered = c[1] * before + c[2] * older
+    flow = c[0] * now + wp.vec3d(remembered[0], remembered[1], remembered[2])
     s = stencil(dof, director, r, i)
     first = component(s, 0)
     second = component(s, 1)
@@ -197,7 +190,7 @@ def elastic_tangents(
     b = stiffness[m, i]
     mean = HALF * (b[0] + b[1]) / length
     k_e, k_f, k_te, k_tf = invariant_gradient(s, first, second)
-    eta, relaxed = times_of(viscous_time[m, i], coefficient[0] / dt)
+    eta, relaxed = times_of(viscous_time[m, i], c[0])
     total = (now + wp.cw_mul(eta, flow)) / length
     excess = total - rest_strain[m, i]
     law = softening[m, i]
@@ -207,18 +200,11 @@ def elastic_tangents(
         row = r * columns + j
         q = wp.where(shared, j, row)
         length_rate = HALF * (rest_length_rate[q, i - 1] + rest_length_rate[q, i])
-        moved = strain_tangent_before[r, j, i]
-        past = strain_tangent_older[r, j, i]
-        flow_rate = rate(
-            coefficient,
-            dt,
-            wp.vec3d(ZERO, ZERO, ZERO),
-            wp.vec3d(moved[0], moved[1], moved[2]),
-            wp.vec3d(past[0], past[1], past[2]),
-        )
+        past = c[1] * strain_tangent_before[r, j, i] + c[2] * strain_tangent_older[r, j, i]
+        flow_rate = wp.vec3d(past[0], past[1], past[2])
         b_rate = stiffness_rate[q, i]
         t = viscous_time_rate[q, i]
-        eta_rate = wp.vec3d(t[0], t[1], t[2]) - (t[3] * coefficient[0] / dt) * eta
+        eta_rate = wp.vec3d(t[0], t[1], t[2]) - (t[3] * c[0]) * eta
         change = relaxed * wp.cw_mul(eta_rate, flow) + wp.cw_mul(eta, flow_rate)
         change = change / length - total * (length_rate / length) - rest_strain_rate[q, i]
         moment = wp.cw_mul(b_rate, excess) + wp.cw_mul(b, change)
