@@ -229,6 +229,16 @@ def test_a_closure_beside_a_method_that_has_none_is_refused(tmp_path):
     assert not out.exists()
 
 
+def test_what_is_expected_of_the_intuitive_method_is_of_the_table_that_is_named(tmp_path):
+    points = np.column_stack([np.linspace(0.0, 0.15, 20), np.zeros(20)])
+    np.savetxt(tmp_path / "line.txt", points)
+    rod = ("--radius", "0.0016", "--lgb", "0.018", "--length", "0.25", "--method", "intuitive")
+    options = (*rod, "--friction", "0.3", "--device", "cpu", "--json")
+    figures = json.loads(run(tmp_path / "line.txt", *options, "--out", tmp_path / "o").stdout)
+    assert figures["expected"]["friction"][0] == pytest.approx(0.27) and "optimised" not in figures
+    assert figures["beyond_grip"] == 0.0
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
