@@ -52,7 +52,7 @@ def test_what_is_described_at_rest_stays():
 
 def test_joints_stiffness_and_damping_are_those_of_newton():
     """What Newton's own `add_rod` makes of a section's rigidities and a damping, given to ours, is
-    the section again; Newton's defaults fill what is not said; unequal edges are refused."""
+    the section again; Newton's defaults fill what is not said; a section goes by unequal edges."""
     line = np.linspace(0.0, 0.3, 7)[:, None] * [1.0, 0.0, 0.0]
     stiff = newton.Rod(line, **STIFF)
     theirs = newton.ModelBuilder()
@@ -69,8 +69,13 @@ def test_joints_stiffness_and_damping_are_those_of_newton():
     model, *_ = built(bare, bend_stiffness=bend)
     assert model.der.node_twisting_stiffness.numpy()[3] == pytest.approx(bend * 0.05)
     assert model.der.edge_stretching_stiffness.numpy()[3] == pytest.approx(1e5 * 0.05)
-    with pytest.raises(RodError, match="as long"):
-        built(newton.Rod(line**2, **STIFF), bend_stiffness=1.0)
+    model, *_ = built(newton.Rod(line**2, **STIFF), bend_stiffness=0.02, stretch_stiffness=1e4)
+    long = np.diff(line[:, 0] ** 2)
+    bends = np.concatenate([[long[0]], 0.5 * (long[1:] + long[:-1]), [long[-1]]])
+    bending = model.der.node_bending_stiffness.numpy()[:, 0]
+    assert bending[1:-1] == pytest.approx(0.02 * bends[1:-1], rel=1e-4)
+    stretching = model.der.edge_stretching_stiffness.numpy()[:6]
+    assert stretching == pytest.approx(0.5e4 * (bends[1:] + bends[:-1]), rel=1e-4)
 
 
 def test_rest_shapes_are_taken():

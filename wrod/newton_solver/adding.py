@@ -150,7 +150,8 @@ class RodBuilding:
             rod: The description.
             density: Mass per volume of the rod [kg/m^3].
             stretch_stiffness: Of each joint, as Newton's `add_rod` takes it [N/m]: times the length
-                of an edge, EA. Defaults to the description's, or to Newton's 1e5.
+                of an edge (of unequal ones, half of both beside it), EA. Defaults to the
+                description's, or to Newton's 1e5.
             bend_stiffness: Of each joint [N m/rad]: times the length of an edge, EI. Defaults to
                 the description's.
             twist_stiffness: Of each joint [N m/rad]: times the length of an edge, GJ. Defaults to
@@ -164,8 +165,7 @@ class RodBuilding:
             The indices of the rods, one for each chain between branches.
 
         Raises:
-            RodError: Nothing says how stiff it is, a joint's stiffness is given of edges that are
-                not as long as each other, or an option is unusable.
+            RodError: Nothing says how stiff it is, or an option is unusable.
         """
         joints = dict(
             stretch_stiffness=stretch_stiffness, bend_stiffness=bend_stiffness,

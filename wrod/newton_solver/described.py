@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from wrod.arguments import array, check_fields, flag, number, optional
 from wrod.errors import RodError
 from wrod.rods.model import RodModel
+from wrod.rods.profile import Profile
 from wrod.rods.rotation import angle_about, transport, unit
 
 # A newton.Rod checks what it is made of, and not what it is given later.
@@ -24,6 +25,8 @@ _FIELDS = {
 }  # fmt: skip
 # What joins the ends of a ring or of branches is a body; its share of the mass of one edge.
 _JOINT_MASS = 0.01
+# Of the shorter edge, over which the stiffness changes from joint to joint.
+_STEP = 1e-6
 _STRETCH = 1e5  # of a joint, where nothing says how stiff it is [N/m]: Newton's default
 
 
@@ -47,11 +50,15 @@ def add_described(
         rest_directors = Rotation.from_quat(described.rest_quaternions).as_matrix()[:, :, 0]
     chains = _chains(edges)
     ends = [node for chain in chains for node in (chain[0][0], chain[-1][1])]
-    model = _model(described, points, edges, density, joints)
+    between = points[np.array(edges)]
+    lengths = np.linalg.norm(between[:, 1] - between[:, 0], axis=1)
+    model = _model(described, lengths, density, joints)
     if joints["bend_damping"] is not None:
         if options.get("internal_damping") is not None:
             raise RodError("give bend_damping or internal_damping: both say the same")
-        stiffness = model.bending_stiffness[0].values[0] * len(edges) / model.length
+        stiffness = joints["bend_stiffness"]
+        if stiffness is None:
+            stiffness = model.bending_stiffness[0].values[0] / lengths.mean()
         options["internal_damping"] = joints["bend_damping"] / float(stiffness)
     met = {node: -1 for node in ends if ends.count(node) > 1}
     for node in met:
@@ -61,6 +68,7 @@ def add_described(
     for k, chain in enumerate(chains):
         nodes = [chain[0][0], *(edge[1] for edge in chain)]
         rows = [edge[2] for edge in chain]
+        model = _model(described, lengths[rows], density, joints)
         shape = _Shape(points[nodes], directors[rows])
         rest = _Shape(
             rest_points[nodes], (directors if rest_directors is None else rest_directors)[rows]
@@ -169,18 +177,27 @@ def _rigidities(described: newton.Rod, area: float) -> list[float | None]:
     return [young * area, young * second, 2.0 * shear * second]
 
 
-def _model(described: newton.Rod, points, edges, density: float, joints: dict) -> RodModel:
+def _of_joints(stiffness: float, lengths: np.ndarray) -> Profile:
+    """A rigidity that is the stiffness of each joint times the length of what bends there, half of
+    the edges beside it."""
+    if np.ptp(lengths) < 1e-3 * lengths.max():
+        return Profile(stiffness * lengths.mean())
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    middle = 0.5 * (ends[1:] + ends[:-1])
+    bends = 0.5 * np.concatenate(
+        [[2.0 * lengths[0]], lengths[1:] + lengths[:-1], [2.0 * lengths[-1]]]
+    )
+    step = _STEP * lengths.min()
+    knots = np.column_stack([middle - step, middle + step]).ravel()
+    return Profile(stiffness * np.repeat(bends, 2)[1:-1], knots)
+
+
+def _model(described: newton.Rod, lengths: np.ndarray, density: float, joints: dict) -> RodModel:
+    """Of a chain of edges of these lengths."""
     radius = 0.1 if described.radius is None else described.radius
-    ends = points[np.array(edges)]
-    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     given = [joints[f"{name}_stiffness"] for name in ("stretch", "bend", "twist")]
     found = _rigidities(described, np.pi * radius**2)
-    if any(k is not None for k in given) and np.ptp(lengths) > 1e-3 * lengths.max():
-        raise RodError(
-            "a joint's stiffness says what the rod is made of where all edges are as long; these "
-            f"are {lengths.min():g} to {lengths.max():g} m: give the newton.Rod its rigidities"
-        )
-    found = [r if k is None else k * lengths.mean() for k, r in zip(given, found, strict=True)]
+    found = [r if k is None else _of_joints(k, lengths) for k, r in zip(given, found, strict=True)]
     stretch, bend, twist = found
     if bend is None:
         raise RodError(
