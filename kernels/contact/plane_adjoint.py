@@ -31,7 +31,8 @@ from wrod.kernels.stepping.adjoint import solved
 from wrod.kernels.stepping.model_adjoint import WantedModel
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
-wp.set_module_options({"enable_backward": False})
+# Unrolled loops take a GPU's compiler twice as long.
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.func
