@@ -203,7 +203,8 @@ def mean_gap(sums: Sums, radius: wp.float64) -> Gap:
     return out
 
 
-@wp.func
+# Written out at every place that asks, this and `touched_parts` take a GPU's compiler long.
+@wp.func(inline=False)
 def edge_gap(
     shape: Shape, q: wp.vec3d, e: wp.vec3d, c: wp.float64, radius: wp.float64
 ) -> Gap:  # fmt: skip
@@ -221,7 +222,6 @@ def edge_gap(
     return gap_of(closest_on_edge(shape, q, e, c), e, c)
 
 
-# Written out at every place that asks, this takes a GPU's compiler minutes.
 @wp.func(inline=False)
 def touched_parts(
     shape: Shape, q: wp.vec3d, e: wp.vec3d, c: wp.float64, radius: wp.float64
