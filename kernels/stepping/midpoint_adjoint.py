@@ -30,6 +30,22 @@ def find_halfway(
     active_out[r] = wp.where(step.active[r] != 0 and step.span[r] < step.whole[r], 1, 0)
 
 
+@wp.func
+def share_out(
+    wanted: wp.float64, speed: wp.float64, dt: wp.float64, free: int, moved: int
+) -> wp.vec3d:
+    """What is wanted of a degree of freedom at the end of the step and of its velocity, wanted of
+    its middle, of where it is held, and of its start."""
+    faster = FOUR * speed / dt
+    if free != 0:
+        return wp.vec3d(TWO * wanted + faster, ZERO, -wanted - faster)
+    if moved == 2:
+        return wp.vec3d(faster, wanted, -faster)
+    if moved != 0:
+        return wp.vec3d(ZERO, wanted + speed / dt, -speed / dt)
+    return wp.vec3d(ZERO, ZERO, wanted)
+
+
 @wp.kernel
 def want_angles(
     # Model:
@@ -63,32 +79,19 @@ def want_angles(
     wanted = wp.float64(now.dof[r, a])
     spin = wp.float64(now.velocity[r, a])
     turn = wp.float64(now.turn[r, i])
-    middle = wp.float64(0.0)
-    held = wp.float64(0.0)
-    less = wp.float64(0.0)  # of the angle at the start
-    if free[r, a] != 0:
+    share = share_out(wanted, spin, dt, free[r, a], moved[r, a])
+    if free[r, a] != 0 or moved[r, a] == 0:
         turn += wanted
-        middle = TWO * wanted + FOUR * spin / dt
-        less = wanted + FOUR * spin / dt
-        before.velocity[r, a] = before.velocity[r, a] - spin
-    elif moved[r, a] == 2:
-        middle = FOUR * spin / dt
-        held = wanted
-        less = middle
-        before.velocity[r, a] = before.velocity[r, a] - spin
-    elif moved[r, a] != 0:
+    elif moved[r, a] != 2:
         turn -= spin / dt
-        held = wanted + spin / dt
-        less = spin / dt
-    else:
-        turn += wanted
-        less = -wanted
-    now.dof[r, a] = middle
-    now.turn[r, i] = -middle
+    if free[r, a] != 0 or moved[r, a] == 2:
+        before.velocity[r, a] = before.velocity[r, a] - spin
+    now.dof[r, a] = share[0]
+    now.turn[r, i] = -share[0]
     now.velocity[r, a] = ZERO
-    before.dof[r, a] = before.dof[r, a] - less
-    before.turn[r, i] = before.turn[r, i] + less + turn
-    held_out[r, a] = held
+    before.dof[r, a] = before.dof[r, a] + share[2]
+    before.turn[r, i] = before.turn[r, i] - share[2] + turn
+    held_out[r, a] = share[1]
     turn_out[r, i] = turn
 
 
@@ -118,24 +121,11 @@ def want_places(
     from_start = turned(by_start, turn, r, i)
     for c in range(3):
         a = 4 * i + c
-        wanted = now.dof[r, a] + from_end[c]
         speed = wp.float64(now.velocity[r, a])
-        middle = wp.float64(0.0)
-        held = wp.float64(0.0)
-        start = wp.float64(wanted)
-        if free[r, a] != 0:
-            middle = TWO * wanted + FOUR * speed / dt
-            start = -wanted - FOUR * speed / dt
+        share = share_out(now.dof[r, a] + from_end[c], speed, dt, free[r, a], moved[r, a])
+        if free[r, a] != 0 or moved[r, a] == 2:
             before.velocity[r, a] = before.velocity[r, a] - speed
-        elif moved[r, a] == 2:
-            middle = FOUR * speed / dt
-            held = wanted
-            start = -middle
-            before.velocity[r, a] = before.velocity[r, a] - speed
-        elif moved[r, a] != 0:
-            held = wanted + speed / dt
-            start = -speed / dt
-        now.dof[r, a] = middle
+        now.dof[r, a] = share[0]
         now.velocity[r, a] = ZERO
-        before.dof[r, a] = before.dof[r, a] + start + from_start[c]
-        held_out[r, a] = held
+        before.dof[r, a] = before.dof[r, a] + share[2] + from_start[c]
+        held_out[r, a] = share[1]
