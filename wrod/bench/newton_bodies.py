@@ -20,6 +20,7 @@ NYLON = RodMaterial.from_youngs_modulus(1e9, radius=0.002, length=0.5, density=1
 RUBBER = RodMaterial(radius=0.0016, gravito_bending_length=0.032, length=0.2)
 _EDGES = 20
 _STIFFNESS, _DAMPING = 1000.0, 15.0  # of the arm's joints [N m/rad, N m s/rad]
+_REACH, _CABLE, _PIECES = 0.4, 0.8, 24  # of its links and of its cable [m], and the cable's edges
 
 
 def hung(
@@ -144,34 +145,31 @@ class TwoLinkArm:
         links: indices of the bodies.
     """
 
-    def __init__(
-        self, reach: float = 0.4, length: float = 0.8, edges: int = 24, *, mujoco: bool = False,
-        visible: bool = False,
-    ):  # fmt: skip
+    def __init__(self, *, mujoco: bool = False, visible: bool = False):
         builder = newton.ModelBuilder()
         SolverDER.register_custom_attributes(builder)
         cfg = newton.ModelBuilder.ShapeConfig(density=800.0, has_shape_collision=False)
-        self.reach, self.links, joints = reach, [], []
+        self.links, joints = [], []
         for k in range(2):
             link = builder.add_link(
-                xform=wp.transform(((k + 0.5) * reach, 0.0, 1.0), wp.quat_identity())
+                xform=wp.transform(((k + 0.5) * _REACH, 0.0, 1.0), wp.quat_identity())
             )
-            builder.add_shape_box(link, hx=0.5 * reach, hy=0.03, hz=0.03, cfg=cfg)
-            before = (0.0, 0.0, 1.0) if k == 0 else (0.5 * reach, 0.0, 0.0)
+            builder.add_shape_box(link, hx=0.5 * _REACH, hy=0.03, hz=0.03, cfg=cfg)
+            before = (0.0, 0.0, 1.0) if k == 0 else (0.5 * _REACH, 0.0, 0.0)
             joint = builder.add_joint_revolute(
                 -1 if k == 0 else self.links[0], link,
                 parent_xform=wp.transform(before, wp.quat_identity()),
-                child_xform=wp.transform((-0.5 * reach, 0.0, 0.0), wp.quat_identity()),
+                child_xform=wp.transform((-0.5 * _REACH, 0.0, 0.0), wp.quat_identity()),
                 axis=wp.vec3(0.0, 1.0, 0.0), target_ke=_STIFFNESS, target_kd=_DAMPING,
                 actuator_mode=newton.JointTargetMode.POSITION,
             )  # fmt: skip
             self.links.append(link)
             joints.append(joint)
         builder.add_articulation(joints)
-        self.material = RodMaterial.from_youngs_modulus(5e7, 0.004, length, density=1150.0)
-        arc = np.linspace(0.0, length, edges + 1)
-        points = np.array([2.0 * reach, 0.0, 1.0]) + arc[:, None] * [0.8, 0.0, -0.6]
-        self.rest = length / edges
+        self.material = RodMaterial.from_youngs_modulus(5e7, 0.004, _CABLE, density=1150.0)
+        arc = np.linspace(0.0, _CABLE, _PIECES + 1)
+        points = np.array([2.0 * _REACH, 0.0, 1.0]) + arc[:, None] * [0.8, 0.0, -0.6]
+        self.rest = _CABLE / _PIECES
         SolverDER.add_rod(
             builder, points, self.material, start="clamped", start_body=self.links[1],
             end="pinned", air_damping=3.0, visible=visible,
@@ -218,7 +216,7 @@ class TwoLinkArm:
         weight = np.zeros_like(q)
         weight[:, 2] = -9.81 * self.model.der.node_mass.numpy()
         masses = self.model.body_mass.numpy()[self.links]
-        elbow = poses[0, :3] + Rotation.from_quat(poses[0, 3:]).apply([0.5 * self.reach, 0.0, 0.0])
+        elbow = poses[0, :3] + Rotation.from_quat(poses[0, 3:]).apply([0.5 * _REACH, 0.0, 0.0])
         out = []
         for k, joint in enumerate((np.array([0.0, 0.0, 1.0]), elbow)):
             moment = np.cross(q - joint, weight).sum(axis=0) + np.cross(q[-1] - joint, pin)

@@ -14,6 +14,7 @@ from wrod.files import write_atomically
 _SKY, _GROUND = (0.50, 0.51, 0.55), (0.20, 0.19, 0.18)
 _SUN = (-0.35, 0.40, -0.85)
 _BACKGROUND = (226, 230, 236)
+_RAYS = 4  # a pixel
 _MOMENT = (720, 540)  # of each of the four of a scene
 _GUTTER = ((2, 2), (2, 2), (0, 0))  # of white about each
 # A stage that takes every kernel that larger ones take.
@@ -37,7 +38,6 @@ class Renderer:
         camera: name of a camera on it.
         size: width and height [pixels].
         hidden: names of prims to leave out.
-        samples: rays per pixel.
 
     Raises:
         SceneError: no stage, no such camera, a size that is not positive, or Newton is missing.
@@ -50,7 +50,6 @@ class Renderer:
         camera: str = "perspective",
         size: tuple[int, int] = (960, 720),
         hidden: tuple[str, ...] = (),
-        samples: int = 4,
     ):
         if min(size) < 1 or max(size) > 8192:
             raise SceneError(f"picture size {size[0]} x {size[1]} is not within 1 ... 8192 pixels")
@@ -71,14 +70,11 @@ class Renderer:
         red, green, blue = _BACKGROUND
         self._clear = SensorCamera.ClearData(clear_color=(blue << 16) | (green << 8) | red)
         self._config = SensorCamera.RenderConfig(
-            enable_shadows=True,
-            anti_aliasing=(
-                SensorCamera.AntiAliasing.SSAA if samples > 1 else SensorCamera.AntiAliasing.NONE
-            ),
+            enable_shadows=True, anti_aliasing=SensorCamera.AntiAliasing.SSAA
         )
         device = self.scene.model.device
         self._rays_of = partial(
-            SensorCamera.compute_camera_rays_pinhole_usd, *size, sample_count=samples, device=device
+            SensorCamera.compute_camera_rays_pinhole_usd, *size, sample_count=_RAYS, device=device
         )
         self._color = self._sensor.allocate_image_color(1, *size)
         self.look(camera)

@@ -27,6 +27,7 @@ _AMPLITUDES = np.logspace(-3, 3, 25)
 # are those of which the data say less than the prior does.
 _LEAST = 0.01
 _PLACES = 3
+_REACH = 0.05  # of an attraction's middle, where a search begins [m]
 
 
 def _curvature(setup, profile):
@@ -366,7 +367,7 @@ def _span(i: int, j: int, gap: float) -> tuple[float, float]:
     return (i - 0.5) * gap, float(np.log((j - i + 1) * gap))
 
 
-def _points(laboratory, forces, reach: float = 0.05) -> list[np.ndarray]:
+def _points(laboratory, forces) -> list[np.ndarray]:
     """Starts of an attraction: the points of a grid whose pull explains most, to first order."""
     m = laboratory.measurements
     trials = m.train
@@ -379,7 +380,7 @@ def _points(laboratory, forces, reach: float = 0.05) -> list[np.ndarray]:
     ranked = []
     for point in grid:
         away = point - knots
-        square = (away**2).sum(axis=2, keepdims=True) + reach**2
+        square = (away**2).sum(axis=2, keepdims=True) + _REACH**2
         pull = Attraction.distance**2 * away / square**1.5
         response = np.einsum("trck,tkc->tr", forces[trials], pull)
         response = laboratory.whiten(response, trials).ravel()
@@ -390,7 +391,7 @@ def _points(laboratory, forces, reach: float = 0.05) -> list[np.ndarray]:
     chosen: list[np.ndarray] = []
     for _, strength, point in ranked:
         if all(np.linalg.norm(point - c[1:4]) > 0.08 for c in chosen):
-            chosen.append(np.array([strength, *point, np.log(reach)]))
+            chosen.append(np.array([strength, *point, np.log(_REACH)]))
         if len(chosen) == 3:
             break
     return chosen
