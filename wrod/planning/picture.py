@@ -10,6 +10,7 @@ from wrod.errors import PatternError
 from wrod.files import write_figure
 from wrod.files.pictures import FAINT, INK, MUTED, dress
 from wrod.patterns.pattern import Pattern
+from wrod.planning.shapes import as_laid
 from wrod.planning.trajectory import Trajectory
 
 _PATTERN, _REMAINDER, _ROD = "#0b5fa5", "#7fb0d8", "#d9822b"
@@ -164,7 +165,7 @@ def _draw_above(axes, trajectory: Trajectory, shapes: np.ndarray | None) -> None
 def _draw_profiles(bends, heights, pattern: Pattern, trajectory: Trajectory) -> None:
     remainder = trajectory.remainder_length
     s = trajectory.arc_length
-    curvature = _curvature(pattern, trajectory)
+    curvature = as_laid(pattern, trajectory).sample(trajectory.pattern_arc_length)[2]
     bends.axhline(0.0, color=FAINT, lw=0.8)
     bends.plot(s, curvature, color=_PATTERN, lw=1.6)
     bends.set_ylabel("curvature [1/m]", fontsize=8.5)
@@ -181,14 +182,6 @@ def _draw_profiles(bends, heights, pattern: Pattern, trajectory: Trajectory) -> 
         axes.set_xlim(0.0, s[-1])
         dress(axes)
     bends.tick_params(labelbottom=False)
-
-
-def _curvature(pattern: Pattern, trajectory: Trajectory) -> np.ndarray:
-    """Curvature of what is laid: by the pattern where it is, by the contacts on the remainder."""
-    s = trajectory.pattern_arc_length
-    if pattern.remainder_length == 0.0 and s[0] < 0.0:
-        pattern = pattern.with_remainder(-float(s[0]))
-    return pattern.sample(s)[2]
 
 
 def _legend(figure, has_shapes: bool, trajectory: Trajectory) -> None:

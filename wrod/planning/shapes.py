@@ -75,19 +75,29 @@ def with_shapes(
 
 def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray, np.ndarray]:
     """Unit tangent (T, 3) and signed curvature (T,) [1/m] at the contacts."""
+    own = course_of(trajectory)
+    if pattern is None:
+        return own
+    s, pattern = trajectory.pattern_arc_length, as_laid(pattern, trajectory)
+    contact, tangent, bent = pattern.sample(np.clip(s, -pattern.remainder_length, pattern.length))
+    laid = np.abs(contact - trajectory.contact).max() < 1e-6
+    return (tangent, bent) if laid else own
+
+
+def course_of(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Unit tangent (T, 3) and signed curvature (T,) [1/m] of a spline through the contacts."""
     curve = CubicSpline(trajectory.arc_length, trajectory.contact)
     forward, bend = (curve(trajectory.arc_length, order) for order in (1, 2))
     speed = np.linalg.norm(forward, axis=1)
     curvature = (forward[:, 0] * bend[:, 1] - forward[:, 1] * bend[:, 0]) / speed**3
-    own = forward / speed[:, None], curvature
-    if pattern is None:
-        return own
-    s = trajectory.pattern_arc_length
-    if pattern.remainder_length == 0.0 and s[0] < 0.0:
-        pattern = pattern.with_remainder(-float(s[0]))
-    contact, tangent, bent = pattern.sample(np.clip(s, -pattern.remainder_length, pattern.length))
-    laid = np.abs(contact - trajectory.contact).max() < 1e-6
-    return (tangent, bent) if laid else own
+    return forward / speed[:, None], curvature
+
+
+def as_laid(pattern: Pattern, trajectory: Trajectory) -> Pattern:
+    """The pattern with the remainder that the trajectory lays before it."""
+    if pattern.remainder_length == 0.0 and trajectory.remainder_length > 0.0:
+        return pattern.with_remainder(trajectory.remainder_length)
+    return pattern
 
 
 def contact_frame(tangent: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
 from wrod.planning.hold import as_held
+from wrod.planning.shapes import course_of
 from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
@@ -162,12 +163,8 @@ def _end(pattern: Pattern | None, trajectory: Trajectory) -> tuple[np.ndarray, n
     if pattern is not None:
         (corner,), (tangent,), (bend,) = pattern.sample(pattern.length)
         return corner, tangent, bend
-    curve = CubicSpline(trajectory.arc_length, trajectory.contact)
-    last = trajectory.arc_length[-1]
-    forward, second = curve(last, 1), curve(last, 2)
-    speed = np.linalg.norm(forward)
-    bend = (forward[0] * second[1] - forward[1] * second[0]) / speed**3
-    return trajectory.contact[-1], forward / speed, float(bend)
+    tangent, curvature = course_of(trajectory)
+    return trajectory.contact[-1], tangent[-1], float(curvature[-1])
 
 
 def _integrate(values: np.ndarray, s: np.ndarray) -> np.ndarray:

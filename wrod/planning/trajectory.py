@@ -133,7 +133,8 @@ class Trajectory:
 
     @property
     def expected(self) -> dict | None:
-        """What it is to be expected to do on a table (`wrod.deployment.expect`), if known."""
+        """What it is to be expected to do on a table, if known; see
+        `wrod.deployment.expectation.expect`."""
         return self.metadata.get("expected")
 
     @property
