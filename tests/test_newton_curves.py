@@ -50,6 +50,7 @@ def test_there_and_back(tmp_path):
 
 
 def test_newtons_importer_reads_the_same_cables(tmp_path):
+    pytest.importorskip("newton_usd_schemas", reason="newton's USD importer needs its schemas")
     model = scene()
     path = wrod.SolverDER.write_usd(model, model.state(), tmp_path / "cables.usda")
     builder = newton.ModelBuilder()
