@@ -78,6 +78,16 @@ def test_a_part_of_a_linearised_problem_is_that_of_the_smaller_model(measured):
     assert rod.cost(windows, small, moved) < alone.cost
 
 
+def test_fewer_recordings_than_parameters_leave_no_estimate_without_error(measured):
+    rod, known = MotionLaboratory(measured), effects("motion")
+    names = ("stiffness", "air_damping", "internal_damping", "natural_curvature")
+    model = Model(tuple(known[name] for name in names))
+    at = rod.linearise(rod.windows([0, 1]), model, np.array([0.1, 0.3, 0.05, 0.2, 0.0]))
+    error = np.sqrt(np.diag(at.covariance))
+    correlation = at.covariance / np.outer(error, error)
+    assert np.linalg.eigvalsh(correlation)[0] > 1e-6
+
+
 def test_motions_that_do_not_converge_cost_what_they_miss(measured, monkeypatch):
     rod, known = MotionLaboratory(measured), effects("motion")
     model = Model((known["stiffness"],))

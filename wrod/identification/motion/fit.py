@@ -31,6 +31,8 @@ _PRIOR = 2e-3
 # Slices of windows are run side by side, one a core. Setting one up and recording launches takes
 # as long as so many windows of a second.
 _WORTH_A_SLICE = 8
+# Stretches for each parameter that tell the errors of estimates.
+_STRETCHES = 3
 # Predictions from shaken grips that tell their scatter.
 _SHAKES = 6
 # Time steps a frame at most, where longer ones do not converge.
@@ -46,7 +48,9 @@ class Linearised:
         hessian, gradient: (P, P), (P,) of the cost, Gauss-Newton.
         error: mean |difference| over coordinates and all markers [m].
         failed: windows whose steps did not converge.
-        scatter: (P, P) sum over recordings of the outer products of their shares of the gradient.
+        scatter: (P, P) sum over stretches of the outer products of their shares of the gradient:
+            over whole recordings or, where these are few, over so long pieces of them that there
+            are three for each parameter.
     """
 
     cost: float
@@ -68,8 +72,9 @@ class Linearised:
 
     @property
     def covariance(self) -> np.ndarray:
-        """(P, P) of the estimates, from the scatter between recordings: errors within one
-        recording hang together, and the model is never exactly the rod's."""
+        """(P, P) of the estimates, from the scatter between stretches: errors within one hang
+        together, and the model is never exactly the rod's. Fewer stretches than parameters would
+        leave combinations of these without any error."""
         inverse = np.linalg.inv(self.hessian)
         return inverse @ self.scatter @ inverse
 
@@ -253,7 +258,10 @@ class MotionLaboratory:
         j = rate[seen]
         share = 3 * np.einsum("fmpc,fmc->fp", j, weighted) / (count * _ROBUST)
         gradient = share.sum(axis=0)
-        owner = np.broadcast_to(windows.recording[:, None], seen.shape)[seen]
+        frames, recordings = seen.shape[1], len(np.unique(windows.recording))
+        pieces = min(max(-(-_STRETCHES * len(values) // recordings), 1), frames)
+        piece = windows.recording[:, None] * pieces + np.arange(frames) * pieces // frames
+        owner = piece[seen]
         shares = np.stack([share[owner == r].sum(axis=0) for r in np.unique(owner)])
         shares = shares - shares.mean(axis=0)
         flat = np.moveaxis(j / np.sqrt(root)[:, :, None], 2, -1).reshape(-1, len(values))
