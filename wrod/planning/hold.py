@@ -37,8 +37,8 @@ def held_near(pattern: Pattern, rod: RodModel | RodMaterial, left: float = LEFT)
 def as_held(trajectory: Trajectory, rod: RodModel | RodMaterial):
     """The rod as far as the grip that moves along a trajectory, where it is as long as the whole
     one that this was planned for; any other, such as one that ends at the grip, as it is."""
-    planned = trajectory.rod
-    if not trajectory.beyond_grip or planned is None:
+    planned = trajectory.rod if trajectory.beyond_grip else None
+    if planned is None:
         return rod
     whole = planned.length + trajectory.beyond_grip
     return rod if abs(whole - rod.length) > _SAME * whole else replace(rod, length=planned.length)
