@@ -108,9 +108,9 @@ class Moment:
         if any(abs(to - begins) < _THERE and wrong > _LEFT * e for to, e in self.returns):
             return now.way, self.gone, None, kept
         back, turn = self.way.back(self.gone, begins)
-        _, better, _, anew = yield from self._corrected(back, turn)
-        gains = (after - better)[s <= at].sum() > _GAIN * METRIC_POINTS
-        if not gains or not self._better(anew, now, at):
+        bar = float(after[s <= at].sum()) - _GAIN * METRIC_POINTS
+        _, better, _, anew = yield from self._corrected(back, turn, bar=bar)
+        if not better[s <= at].sum() < bar or not self._better(anew, now, at):
             return now.way, self.gone, None, kept
         self.returns.append((begins, wrong))
         return anew.way, turn, anew.way.laid_at(turn), False
@@ -128,11 +128,18 @@ class Moment:
         return bool(errors[0] < errors[1])
 
     def _corrected(
-        self, way: GripWay, turn: float, anew: bool = False, share: float = 1.0
+        self,
+        way: GripWay,
+        turn: float,
+        anew: bool = False,
+        share: float = 1.0,
+        bar: float = np.inf,
     ) -> Course[tuple[np.ndarray, np.ndarray, _Candidate, _Candidate]]:
         """(50,) error that is expected along the pattern before and after [m]; and the way before
         and after it is corrected from now on, which lays rod from `turn` on; or all of it `anew`.
-        What lies near or beyond there comes to lie `aside` of what is believed."""
+        What lies near or beyond there comes to lie `aside` of what is believed. It is given up
+        where the derivatives do not promise that the errors of what lies now, summed, come below a
+        `bar` [m]."""
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         lgb = beliefs.rod.gravito_bending_length
         last, s = turn + self.horizon * lgb, way.laid_at(turn)
@@ -164,9 +171,17 @@ class Moment:
             error = (error + beyond) * there + (np.inf if lost else 0.0)
             return _Point(values, error, rates * there[:, None], doubts, cost)
 
+        lies = along <= way.laid_at(self.gone)
+
+        def lying(point: _Point) -> float:
+            return float(np.hypot(*point.error.reshape(2, -1))[lies].sum())
+
         first = now = yield from at(np.zeros(len(cost)))
         radius, damping = _STEP, _DAMPING * METRIC_POINTS * lgb**2
         for _ in range(_STEPS if np.isfinite(now.value) else 0):
+            best = now.after(now.step(np.inf, damping))
+            if min(lying(now), lying(best)) > bar:
+                break
             step = now.step(radius, damping)
             length, promised = np.abs(step).max(), now.value - now.after(step).value
             worth = promised > max(_DONE * now.value, METRIC_POINTS * _FELT**2)
