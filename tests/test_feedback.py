@@ -13,6 +13,7 @@ from wrod.deployment.beliefs import Beliefs, meshed_to_the_end, told_by
 from wrod.deployment.beside import Beside, doubted
 from wrod.deployment.expectation import COARSE, FINE, PACE
 from wrod.deployment.feedback import Plant, Sight, lay_with_feedback
+from wrod.deployment.remembered import LastDeployments
 from wrod.deployment.replanning import Moment, _Candidate
 from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance
@@ -73,11 +74,11 @@ def test_a_table_of_two_frictions_is_told_by_what_slid_on_it(two_bends):
     )
     same = ROUGH | {"discretisation": meshed_to_the_end(ROUGH["discretisation"], pattern)}
     told = [Beliefs(pattern, rod, 0.4, 0.05) for _ in range(2)]
-    cameras = [np.random.default_rng(seed) for seed in range(2)]
+    cameras, went_on = [np.random.default_rng(seed) for seed in range(2)], [LastDeployments()]
     for to in np.arange(0.12, 0.36, 0.03):
         path = GripWay(trajectory).until(to).path
         trial = Trial(pattern, rod, path, Friction(0.4), Disturbance(), Tail.none(path))
-        (lies,) = lay([trial], friction_field=field, **same)
+        (lies,) = lay([trial], friction_field=field, remembered=went_on, **same)
         for beliefs, rng in zip(told, cameras, strict=True):
             beliefs.looking(0.5)
             follow([beliefs.update(to, path, [Seen.of(lies, to, Sight(), rng)], **same)])

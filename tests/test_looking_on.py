@@ -10,6 +10,7 @@ from vps import SHORT as ROD
 
 import wrod
 from wrod.deployment.expectation import COARSE, PACE
+from wrod.deployment.remembered import LastDeployments
 from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.tangents import lay
@@ -29,7 +30,7 @@ class Cell:
     """A robot beside its place that goes through poses, and its camera: from poses alone."""
 
     def __init__(self, pattern):
-        self.pattern, self.gone = pattern, []
+        self.pattern, self.gone, self.went_on = pattern, [], LastDeployments()
         self.rng = np.random.default_rng(0)
 
     def go(self, loop, pose=None):
@@ -54,7 +55,8 @@ class Cell:
         trial = wrod.Trial(self.pattern, ROD, path, wrod.Friction(0.6), how, Tail.none(path))
         release = {"release": float(path.arc_length[-1]) + 0.05} if loop.held else {}
         mesh = replace(COARSE, tolerance=1e-5, laid=self.pattern.length)
-        (self.lies,) = lay([trial], discretisation=mesh, speed=PACE, **release)
+        how = {"discretisation": mesh, "speed": PACE, "remembered": [self.went_on], **release}
+        (self.lies,) = lay([trial], **how)
 
     def shifted(self, ahead):
         """Where the beginning of the pattern is to be, which is in the origin (x, y, yaw)."""
@@ -72,7 +74,8 @@ class Cell:
 
 
 def test_a_loop_of_your_own_makes_up_for_a_robot_beside_its_place(bend, loop):
-    """With poses out and points in, and nothing else."""
+    """With poses out and points in, and nothing else; by looks of half a second."""
+    loop = wrod.FeedbackLoop(bend[0], ROD, bend[1], 0.6, every=0.06, patience=0.5)
     cell = Cell(bend[0])
     while loop.ahead is not None:
         cell.go(loop)
