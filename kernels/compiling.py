@@ -53,8 +53,19 @@ def compile_ahead(
 
 def compile_together(device: str, launches: Iterable[tuple[wp.Kernel | ModuleType, int]]) -> None:
     """Compile them, and wait until they are."""
-    for compiled in compile_ahead(device, launches):
-        compiled.result()
+    wait(compile_ahead(device, launches))
+
+
+def wait(begun: Iterable[Future]) -> None:
+    """Wait until they are compiled; where that is interrupted no more of them are begun, for which
+    the end of the process would wait."""
+    try:
+        for one in begun:
+            one.result()
+    except KeyboardInterrupt:
+        _compilers().shutdown(wait=False, cancel_futures=True)
+        _forget()
+        raise
 
 
 def _module(what: wp.Kernel | ModuleType) -> wp.Module:

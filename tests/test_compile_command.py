@@ -1,9 +1,13 @@
 """Kernels compiled ahead, and a scene drawn by a process of its own."""
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from importlib import import_module
+from threading import Event
 
 import pytest
+from wrod.kernels import compiling
 
 from wrod.commands import compile as ahead
 from wrod.scene import beside
@@ -69,3 +73,20 @@ def test_kernels_that_a_cpu_needs_are_compiled():
 
 def test_what_cannot_be_compiled_is_said():
     assert "nowhere" in ahead._compile("cpu", "wrod.kernels.nowhere")
+
+
+def test_where_waiting_is_interrupted_no_more_is_begun(monkeypatch):
+    class Interrupted:
+        def result(self):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(compiling, "_compilers", cache(lambda: ThreadPoolExecutor(1)))
+    going, end = Event(), Event()
+    first = compiling._compilers().submit(lambda: going.set() or end.wait())
+    next_one = compiling._compilers().submit(int)
+    going.wait()
+    with pytest.raises(KeyboardInterrupt):
+        compiling.wait([Interrupted(), next_one])
+    assert next_one.cancelled() and not first.cancelled()
+    end.set()
+    assert compiling._compilers().submit(int).result() == 0

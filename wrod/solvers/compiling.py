@@ -11,7 +11,7 @@ from types import ModuleType
 
 import warp as wp
 
-from wrod.kernels.compiling import compile_ahead
+from wrod.kernels.compiling import compile_ahead, wait
 from wrod.kernels.lanes import TEAM, WARP
 from wrod.kernels.linear.two_warps import ENDS
 from wrod.kernels.stepping import deployment_tangents
@@ -101,8 +101,7 @@ def compile_steps(device: str, *more: str) -> None:
             that touch, "solids", the exchange with a "simulator", and its "bodies"; "gradients of"
             these; on a CPU "tangents" of deployments; default: all but gradients and tangents.
     """
-    for compiled in compile_steps_ahead(device, *more):
-        compiled.result()
+    wait(compile_steps_ahead(device, *more))
 
 
 def compile_steps_ahead(device: str, *more: str) -> list[Future]:
