@@ -42,6 +42,7 @@ def test_the_best_until_then_is_judged_and_explains_a_part_at_most(bent, monkeyp
     assert report.reason.startswith("600 s were not enough")
     report.save(tmp_path)
     assert json.loads((tmp_path / "report.json").read_text())["out_of_time"]
+    assert ">partly-explained so far<" in (tmp_path / "report.html").read_text()
 
 
 def test_a_command_whose_time_is_over_at_once_says_so(bent, tmp_path):

@@ -13,16 +13,20 @@ _COLORS = {
     "partly-explained": "#d9822b",
     "unexplained": "#d1495b",
 }
+_UNDECIDED = "#59616b"
 # Parameters of one effect that are shown in rows of their own, and of one that has more of them.
 _LISTED, _FEW = 6, 3
 _STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;color:#22262b;max-width:62rem;margin:2.5rem auto;
 padding:0 1.2rem}h1{font-size:1.6rem;margin:0}h2{font-size:1.15rem;margin:2.2rem 0 .4rem}
 .badge{color:white;border-radius:.35rem;padding:.1rem .6rem;font-size:1rem;vertical-align:middle}
-.numbers{display:flex;gap:2.2rem;margin:1.2rem 0}.numbers div{color:#59616b;font-size:.85rem}
-.numbers b{display:block;font-size:1.5rem;color:#22262b}table{border-collapse:collapse;
-font-size:.9rem}td,th{text-align:left;padding:.25rem .9rem .25rem 0;border-bottom:1px solid #e6e9ee}
-td.n{text-align:right;font-variant-numeric:tabular-nums}img{width:100%;height:auto}
+.numbers{display:flex;flex-wrap:wrap;gap:.6rem 2.2rem;margin:1.2rem 0}
+.numbers div{color:#59616b;font-size:.85rem}
+.numbers b{display:block;white-space:nowrap;font-size:1.5rem;color:#22262b}
+table{border-collapse:collapse;font-size:.9rem}
+td,th{text-align:left;padding:.25rem .9rem .25rem 0;border-bottom:1px solid #e6e9ee}
+td.n{text-align:right;font-variant-numeric:tabular-nums}.picture{overflow-x:auto}
+img{width:100%;min-width:40rem;height:auto}
 details{max-width:40rem;color:#59616b;font-size:.85rem}
 p.note{color:#59616b;font-size:.9rem;margin:.2rem 0 .6rem}
 """
@@ -68,10 +72,15 @@ def _page(report) -> str:
 
 def page(report, facts: list[str], sections: list[tuple[str, str, bytes]], steps: str) -> str:
     """The page of a report: its verdict, `facts` (HTML), pictures with title and note, `steps`."""
-    name = html.escape(report.measurements.name)
+    name, verdict, color = html.escape(report.measurements.name), report.verdict, _UNDECIDED
+    reason = html.escape(report.reason[:1].upper() + report.reason[1:])
+    if report.out_of_time:
+        verdict += " so far"
+    else:
+        color = _COLORS[verdict]
     body = [
-        f'<h1>{name} <span class="badge" style="background:{_COLORS[report.verdict]}">'
-        f"{report.verdict}</span></h1><p>{html.escape(report.reason)}.</p>",
+        f'<h1>{name} <span class="badge" style="background:{color}">{verdict}</span></h1>'
+        f"<p>{reason}.</p>",
         *facts,
     ]
     for title, note, picture in sections:
@@ -79,7 +88,7 @@ def page(report, facts: list[str], sections: list[tuple[str, str, bytes]], steps
             data = base64.b64encode(picture).decode()
             body.append(
                 f'<h2>{title}</h2><p class="note">{note}</p>'
-                f'<img alt="{title}" src="data:image/png;base64,{data}">'
+                f'<div class="picture"><img alt="{title}" src="data:image/png;base64,{data}"></div>'
             )
     body.append(steps)
     return (
