@@ -225,6 +225,14 @@ def test_broken_urdf_is_named(tmp_path, changes, says):
     assert says in str(error.value)
 
 
+def test_velocity_limits_that_say_there_is_none(tmp_path):
+    """Makers' files have 10000 rad/s, of a head that no path needs, too."""
+    arm = load_robot(own_arm(tmp_path, **{'velocity="2"': 'velocity="10000"'}))
+    assert arm.velocity[0] == 10000.0
+    with pytest.raises(RobotError, match=r"limit is 1e\+06; give 0.001 to 100000 rad"):
+        load_robot(own_arm(tmp_path, **{'velocity="2"': 'velocity="1000000"'}))
+
+
 def test_missing_file_link_and_name(tmp_path):
     with pytest.raises(RobotError, match="no such file"):
         load_robot(tmp_path / "arm.urdf")

@@ -14,8 +14,8 @@ MOVING = ("revolute", "continuous", "prismatic")
 _KINDS = (*MOVING, "fixed", "floating", "planar")
 # Arms have tens of links; a hand with sensors, a hundred.
 _MOST_LINKS = 500
-# Of lengths [m], of angles [rad] and of joint speeds [rad/s].
-_FARTHEST, _MOST_TURN, _SLOWEST, _FASTEST = 100.0, 1e3, 1e-3, 1e3
+# Of lengths [m], of angles [rad] and of joint speeds [rad/s]; files say 10000 for none.
+_FARTHEST, _MOST_TURN, _SLOWEST, _FASTEST = 100.0, 1e3, 1e-3, 1e5
 _REMEDY = "correct the file"
 
 
