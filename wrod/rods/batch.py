@@ -146,6 +146,8 @@ class RodBatch(BatchArrays):
     ) -> RodBatch:
         """Put rods on meshes; see `wrod.rods.discretisation`.
 
+        What brakes them, inside and by air, is no energy: give it to `wrod.Dynamics`.
+
         Args:
             rods: a `RodModel` or `RodMaterial` for all rows, or one for each.
             arc_length: (rod, node) or (node,) unstretched arc length of the nodes [m].
