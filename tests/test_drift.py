@@ -69,7 +69,8 @@ def test_a_rod_that_warms_loses_stiffness_and_not_weight():
     found = told["change_of_stiffness_ratio"]
     assert abs(found.value - change) < 2.5 * found.stderr < 0.1
     assert lab.rms(lab.predict(best.model, best.values), m.test) < 1.05 * m.noise_floor
-    assert what_is_left(lab, best.model, best.values, m.test) == (None, "")
+    scatter, changing, left_over = what_is_left(lab, best.model, best.values, m.test)
+    assert scatter is None and not changing and not left_over.seen
     again = with_drift(lab, [*effects().values(), *best.model.effects], base_fit(lab))
     assert again == []  # of one kind of change there is one
 

@@ -14,11 +14,24 @@ from wrod.commands import main
 from wrod.identification.clamped.fit import fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
-from wrod.identification.clamped.noise import COLUMNS, NoiseModel, _Restricted, estimate
+from wrod.identification.clamped.noise import (
+    COLUMNS,
+    NoiseModel,
+    _Restricted,
+    estimate,
+    gain_of_scatter,
+    scatter_rates,
+)
 from wrod.identification.clamped.scatter import what_is_left
 from wrod.identification.clamped.selection import _weighed_anew
-from wrod.identification.clamped.steps import base_fit, too_little
+from wrod.identification.clamped.steps import (
+    base_fit,
+    extensions,
+    instead_of_scatter,
+    too_little,
+)
 from wrod.identification.clamped.trace import KNOTS, ProbedProfile, trace
+from wrod.identification.clamped.verdict import LEFT_OVER, _looks_like
 from wrod.identification.effect import Model, effects
 
 
@@ -68,7 +81,7 @@ def test_a_rod_that_changes_does_not_pass_for_it():
     assert scatter_of(lab) is None
     effect = effects()["stiffness"]
     fit = fit_models(lab, [Model((effect,))], [np.zeros(1)])[0]
-    scatter, changing = what_is_left(lab, fit.model, fit.values, lab.measurements.test)
+    scatter, changing, _ = what_is_left(lab, fit.model, fit.values, lab.measurements.test)
     assert scatter is None
     assert (
         "bending stiffness is another one in the last trials than in the first, by -0" in changing
@@ -146,3 +159,34 @@ def test_a_small_effect_beside_scatter_is_asked_for_its_likelihood():
         assert "less than 10" in too_little(lab, empty, empty, worse)
     finally:
         lab.set_noise(*before)
+
+
+def test_one_number_in_all_trials_goes_before_scatter_where_it_is_likelier():
+    """A twisting stiffness that is hardly seen leaves what rolls of a grip would, too."""
+    lab, rng = laboratory("none 1", 101, "pose"), np.random.default_rng(4)
+    before, twist = lab.target, effects()["twist_stiffness"]
+    try:
+        for model, values, rolls in (
+            (Model((twist,)), np.array([-1.2]), 0.0),
+            (Model(), np.zeros(0), 1.5 * rng.normal(size=len(lab.trials))),
+        ):
+            roll = scatter_rates(lab, Model(), np.zeros(0))[1][:, :, -1]
+            noise = lab.deviation * rng.normal(size=before.shape)
+            lab.target = lab.observe(model, values) + roll * np.reshape(rolls, (-1, 1)) + noise
+            empty, rounds = base_fit(lab), []
+            singles = extensions(lab, empty, [twist, effects()["natural_twist"]])
+            assert gain_of_scatter(lab) > 0.0
+            found, _ = instead_of_scatter(lab, empty, singles, rounds, (0.0, 0.0))
+            assert found.model.names == model.names
+            assert len(rounds) == len(found.model.effects)
+    finally:
+        lab.target = before
+
+
+def test_what_is_seen_beside_effects_makes_them_look_like_it_only():
+    lab = laboratory("natural_curvature", 101, "pose")
+    told = replace(base_fit(lab), model=Model((effects()["gravity_tilt"],)))
+    seen = replace(trace(lab)[0], evidence=LEFT_OVER + 1.0)
+    assert "looks like gravity_tilt, but beside that is seen" in _looks_like(told, seen)
+    assert not _looks_like(told, replace(seen, evidence=LEFT_OVER - 1.0))
+    assert not _looks_like(told, None) and not _looks_like(base_fit(lab), seen)

@@ -14,7 +14,7 @@ def row(data, device: str, seconds: float | None = None) -> dict:
     clock, cpu = time.perf_counter(), time.process_time()
     report = identify(data, device=device, seconds=seconds)
     content = report.to_dict()
-    left_out = ("reference", "title")
+    left_out, left_over = ("reference", "title"), content["left_over"]
     return {
         "set": report.measurements.name,
         "verdict": report.verdict,
@@ -29,6 +29,8 @@ def row(data, device: str, seconds: float | None = None) -> dict:
             for effect in content["effects"]
         ],
         "scatter": content["scatter"],
+        "changing": content["changing"],
+        "left_over": left_over and [left_over["name"], left_over["log_evidence"]],
         "confounded": content["confounded"],
         "selection": content["selection"],
         "seconds": time.perf_counter() - clock,

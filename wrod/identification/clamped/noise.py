@@ -189,6 +189,17 @@ def scatter_errors(laboratory, model: Model, values: np.ndarray, noise: NoiseMod
     return _likelihood(laboratory, model, values)[0].scatter_errors(noise)
 
 
+def gain_of_scatter(laboratory) -> float:
+    """By how much the scatter that the base model seems to leave lowers -2 log of the restricted
+    likelihood of the train trials, less its price; nothing where none is believed."""
+    likelihood, _ = _likelihood(laboratory, Model(), np.zeros(0))
+    noise = likelihood.best()
+    sizes = np.array(noise.scatter) / _SCALES
+    along = noise.size, noise.share, noise.length or 1.0
+    gain = likelihood.value(*along, np.zeros(len(sizes))) - likelihood.value(*along, sizes)
+    return float(gain) - _PRICE_OF_SCATTER * int((sizes > 0.0).sum())
+
+
 def _likelihood(laboratory, model, values) -> tuple[_Restricted, np.ndarray]:
     """The likelihood of the noise beside a model, and (T, R, 15) rates of `SCATTER`."""
     trials = laboratory.measurements.train

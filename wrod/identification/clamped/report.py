@@ -107,6 +107,7 @@ class IdentificationReport(Report):
             ],
             "scatter": s.scatter.to_dict() if s.scatter else [],
             "changing": s.changing,
+            "left_over": s.left_over.to_dict() if s.left_over else None,
             "unseen_trials": {"chi_squared_taken": s.unseen[0], "stderr": s.unseen[1]},
             "parameters_at_a_bound": list(s.at_bound),
             "prints": [p.to_dict() for p in self.prints],

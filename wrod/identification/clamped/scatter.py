@@ -16,7 +16,7 @@ import numpy as np
 
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import SCATTER, NoiseModel, estimate, scatter_errors
-from wrod.identification.clamped.trace import MEMORY, trace
+from wrod.identification.clamped.trace import MEMORY, Print, trace
 from wrod.identification.effect import Estimate, Model
 from wrod.identification.verdict import CLAMPED
 
@@ -59,9 +59,10 @@ class TrialScatter:
 
 def what_is_left(
     laboratory: Laboratory, model: Model, values: np.ndarray, trials: np.ndarray
-) -> tuple[TrialScatter | None, str]:
+) -> tuple[TrialScatter | None, str, Print | None]:
     """(the scatter that is all that a model leaves in `trials`, None where it is not; what changes
-    while it is measured, a phrase, empty where nothing does).
+    while it is measured, a phrase, empty where nothing does; the likeliest print beside the model,
+    None where more than noise is left anyway).
 
     Noise is estimated from the train trials, prints from them and `trials`. What changes is asked
     where no more than noise and scatter seem to be left: given six numbers for each end and trial
@@ -73,7 +74,7 @@ def what_is_left(
         laboratory.set_noise(noise, rates)
         squares = laboratory.misfit(model, values, trials).sum() / laboratory.read[trials].sum()
         if not CLAMPED.is_noise(np.sqrt(squares), 1.0):
-            return None, ""
+            return None, "", None
         asked = np.union1d(laboratory.measurements.train, trials)
         each = laboratory.misfit(model, values, asked) / laboratory.read[asked].sum(axis=1)
         # One trial that outweighs the others vouches for nothing.
@@ -84,17 +85,17 @@ def what_is_left(
     changing = sorted((p for p in prints if p.seen_to_change), key=lambda p: -max(p.change, p.anew))
     if changing:
         kept = [p for p in changing[1:] if p.name == MEMORY]
-        return None, "; ".join(p.seen_to_change for p in changing[:1] + kept)
+        return None, "; ".join(p.seen_to_change for p in changing[:1] + kept), prints[0]
     # What is not said by poses and cameras alone, large noise along the rod say, is a misfit.
     if not any(noise.scatter) or not CLAMPED.is_noise(noise.size, 1.0) or prints[0].seen:
-        return None, ""
+        return None, "", prints[0]
     found, sizes = dict(zip(SCATTER, noise.scatter, strict=True)), {}
     if any(s > _PLAY[SCATTER[name]] for name, s in found.items() if name not in _ROLLS):
-        return None, ""
+        return None, "", prints[0]
     errors = scatter_errors(laboratory, model, values, noise)
     for (name, unit), size, error in zip(SCATTER.items(), noise.scatter, errors, strict=True):
         if size > 0.0:
             shown = 1e3 if unit == "m" else 180.0 / np.pi
             of = "mm" if unit == "m" else "deg"
             sizes[name] = Estimate(float(shown * size), float(shown * error), of)
-    return TrialScatter(noise, sizes, float(np.sqrt(squares))), ""
+    return TrialScatter(noise, sizes, float(np.sqrt(squares))), "", prints[0]

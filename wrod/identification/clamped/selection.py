@@ -39,6 +39,7 @@ from wrod.identification.clamped.steps import (
     extensions,
     has_profile,
     held_out_error,
+    instead_of_scatter,
     judged,
     leaner,
     pairs_beside,
@@ -125,6 +126,9 @@ def _chosen(laboratory: Laboratory, candidates: list[Effect], build: bool):
         else:
             current, rounds, held_out = _with_built(laboratory, pool, opening, None)
             tried_to_build = True
+        if not current.model.effects and laboratory.noise.white:
+            own = current, opening.singles, rounds, held_out
+            current, held_out = instead_of_scatter(laboratory, *own)
         before = [*opening.singles, *opening.pairs, *(f for r in rounds for f in r.fits)]
         if not _noise_changed(laboratory, current):
             break

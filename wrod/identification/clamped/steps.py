@@ -9,6 +9,7 @@ import numpy as np
 from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.noise import gain_of_scatter
 from wrod.identification.clamped.pairs import likely_pairs
 from wrod.identification.clamped.profiles import ProfileEffect
 from wrod.identification.clamped.scatter import OUTWEIGHS
@@ -361,3 +362,20 @@ def too_little(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit) -> s
     if share < LEAST_SHARE and not more:
         return f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
     return ""
+
+
+def instead_of_scatter(laboratory: Laboratory, empty: Fit, singles, rounds: list[Round], held_out):
+    """(model, (before, after) RMS of markers held out): the best effect alone in the place of
+    nothing, where the base model seems to leave scatter from trial to trial and one number that is
+    the same in all of them is likelier. Squares of noise may vary by what it takes, but not so."""
+    gain = gain_of_scatter(laboratory) if singles else 0.0
+    if gain <= 0.0 or empty.bic - singles[0].bic < max(gain, BIC_MARGIN):
+        return empty, held_out
+    best, before = singles[0], held_out_error(laboratory, empty)
+    ahead = held_out_error(laboratory, best)
+    if ahead[1] >= before[1]:
+        return empty, held_out
+    said = f"BIC falls by {empty.bic - best.bic:.0f}, by scatter from trial to trial {gain:.0f}"
+    gains = [empty.bic - f.bic for f in singles]
+    rounds.append(Round((), best, list(singles), gains, best.model.names, said))
+    return best, (before[0], ahead[0])

@@ -85,8 +85,8 @@ class Print:
     def seen_to_change(self) -> str:
         """A phrase for people where the data say that the print is no effect, which is the same in
         every trial; empty where they do not."""
-        if self.name == MEMORY and self.seen:
-            return f"{self.title}: {self.value[0]:.2f} ± {self.stderr[0]:.2f}"
+        if self.name == MEMORY:
+            return f"{self.title}: {self.value[0]:.2f} ± {self.stderr[0]:.2f}" if self.seen else ""
         if self.by is None or (self.change <= SEEN and self.anew <= _ANEW):
             return ""
         if self.anew > self.change:

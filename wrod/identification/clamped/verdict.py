@@ -10,6 +10,7 @@ from wrod.identification.clamped.fit import Fit
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.scatter import TrialScatter, what_is_left
 from wrod.identification.clamped.setup import ClampedSetup
+from wrod.identification.clamped.trace import SEEN, Print
 from wrod.identification.effect import Effect, Model
 from wrod.identification.verdict import CLAMPED, CORRELATED
 
@@ -19,6 +20,8 @@ AT_NOISE = CLAMPED.at_noise
 # errors of that (`error_of_gains`). By simulation (tests/test_proof.py: the best of many effects on
 # noise that is wrongly taken for white) 1.5 errors let 1 in 37 false ones pass, 2 at most 1 in 55.
 UNSEEN_GAIN, UNSEEN_ERRORS = 4.0, 2.0
+# Evidence of a print beside a model from which the model stands for something else [nats].
+LEFT_OVER = 2.0 * SEEN
 
 
 @dataclass
@@ -55,6 +58,7 @@ class Selection:
         out_of_time: whether not all was tried.
         scatter: what else is off anew in each trial, where that is all that is left.
         changing: what changes while it is measured, a phrase; empty where nothing is seen to.
+        left_over: the likeliest print beside the model; None where more than noise is left anyway.
         doubts: by place in the model, one with a profile about the effect there: what else it may
             be.
     """
@@ -72,6 +76,7 @@ class Selection:
     out_of_time: bool = False
     scatter: TrialScatter | None = None
     changing: str = ""
+    left_over: Print | None = None
     doubts: dict[int, Fit] = field(default_factory=dict)
 
 
@@ -103,7 +108,7 @@ def judge(
     proven = bool(fit.model.effects) and is_proven(unseen)
     told, left = (fit, after) if proven else (empty, before)
     at_noise = left <= at_noise_of(laboratory) * _expected_of(laboratory, told)
-    scatter, changing = what_is_left(laboratory, told.model, told.values, m.test)
+    scatter, changing, left_over = what_is_left(laboratory, told.model, told.values, m.test)
     settled = not changing and (at_noise or bool(scatter))
     if proven:
         verdict, reason = _word_of_effects(
@@ -127,6 +132,8 @@ def judge(
         reason += f"; something changes while it is measured: {changing}"
     if verdict == "explained" and told.model.effects and (doubt := _doubt(fit, m)):
         verdict, reason = "partly-explained", f"{reason}, but {doubt}"
+    if verdict == "explained" and (said := _looks_like(told, left_over)):
+        verdict, reason = "unexplained", f"{said}; {reason}"
     if not scatter and verdict != "explained" and laboratory.noise.described():
         reason += f"; the noise is not what was declared: {laboratory.noise.described()}"
     named = told if verdict in ("explained", "partly-explained") else empty
@@ -142,11 +149,23 @@ def judge(
         fit.model.at_bound(fit.values),
         scatter=scatter,
         changing=changing,
+        left_over=left_over,
     )
     if named.model.effects:
         selection.doubts = {place: rich.spread() for place, rich in (doubts or {}).items()}
         selection.confounded = _confounded(laboratory, fit, rounds)
     return selection
+
+
+def _looks_like(told: Fit, left_over: Print | None) -> str:
+    """A phrase about effects beside which something else is seen in every trial; empty where
+    nothing is."""
+    if not told.model.effects or left_over is None or left_over.evidence <= LEFT_OVER:
+        return ""
+    return (
+        f"it looks like {' and '.join(told.model.names)}, but beside that is seen "
+        f"({left_over.evidence:.0f} nats): {left_over.title}"
+    )
 
 
 def _word_of_effects(
