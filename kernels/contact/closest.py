@@ -1,7 +1,7 @@
 """Where an edge comes nearest to a solid.
 
 An edge is a capsule and a fixture f is a convex solid, whose signed distance d is convex along the
-edge (of a hollow mesh, an edge finds one of the places where it is nearest). It touches at the
+edge (meshes with hollows: `wrod.kernels.contact.gap`). It touches at the
 point q + s e where
 
     D = min over s in [0, 1] of d(q + s e) + (c / 2) (s - 1/2)^2,    c = 0.01 h,
