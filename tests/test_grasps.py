@@ -150,6 +150,12 @@ def test_wires_are_near_the_inextensible_limit(closure, bound):
         assert np.median(np.abs(c - expected)) < 1e-7
 
 
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=needs_gpu)])
+def test_of_no_inputs_there_are_no_grasps(device):
+    found = solve_grasps([], [], [], device=device, eigenvalues=True)
+    assert found.position.shape == (0, 3) and found.eigenvalue.shape == (0,)
+
+
 def test_every_rod_of_the_catalogue_can_be_planned_with():
     from wrod.rods.catalogue import rod, rod_names
 

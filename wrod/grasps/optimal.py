@@ -165,7 +165,7 @@ def _solve_straight(inputs: GraspArrays, sensitivities: bool, options: GraspOpti
     else:
         for first in firsts:
             solve(first)
-    if device != "cpu":
+    if device != "cpu" and rods:
         _keep(spare.get())
     eigenvalue = _eigenvalues(inputs, out) if options.eigenvalues else None
     return _grasps(inputs, out, eigenvalue, options.shapes)
@@ -240,6 +240,8 @@ def _eigenvalues(inputs: GraspArrays, out: Results):
     """(n,) smallest eigenvalue of the Hessian of every rod, held at the contact and at the grip."""
     _, _, ks = inputs.numpy()
     shape, arc_length = out.shape.numpy(), out.arc_length.numpy()
-    batch = held_batch(ks, np.diff(arc_length, axis=1), shape, inputs.device)
-    value = smallest_eigenvalue(batch)
+    value = np.zeros(0)
+    if len(ks):
+        batch = held_batch(ks, np.diff(arc_length, axis=1), shape, inputs.device)
+        value = smallest_eigenvalue(batch)
     return inputs.result(wp.array(value, dtype=wp.float64, device=inputs.device))
