@@ -333,10 +333,12 @@ def _bend_by_bend(problem: Problem) -> Course[State]:
         for _ in range(_EACH):
             step, damped = best.step(radius)
             near = best.measure < _NEAR * problem.corrections.lgb
-            if near or problem.is_over or best.saved(step) < 1.0 - _DONE**2:
+            # One that was damped says nothing of what longer ones save, which come after it.
+            most = best.saved(best.step(np.inf)[0])
+            if near or problem.is_over or most < 1.0 - _DONE**2:
                 break
             tried = yield from problem.at(best.values + step, end, fixed)
-            idle = _DONE * best.measure < tried.measure < best.measure
+            idle = not damped and _DONE * best.measure < tried.measure < best.measure
             best, radius = _better(best, tried, step, radius, damped)
             if idle:
                 break
