@@ -393,6 +393,29 @@ def test_from_far_off_bends_are_corrected_one_after_the_other():
     assert np.isinf(asked).all()
 
 
+def test_a_bend_is_not_given_up_for_a_step_that_was_damped():
+    """From far off the first saves a fifteenth of the value, and the next is twice as long."""
+
+    class Remote:
+        alone, is_over = True, False
+        cost, task = np.zeros((3, 3)), SimpleNamespace(pattern=SimpleNamespace(length=3.0))
+        corrections = SimpleNamespace(count=1, lgb=1.0)
+
+        def fixed(self, before):
+            return 0
+
+        def at(self, x, end=np.inf, fixed=0):
+            value = 0.5 * float(np.sum((x - 10.0) ** 2))
+            off = float(np.abs(x - 10.0).max())
+            return State(x, np.array([off]), off, value, np.eye(3), x - 10.0)
+            yield
+
+    with pytest.raises(StopIteration) as ended:
+        next(descend(Remote(), False))
+    states, _ = ended.value.value
+    assert states[1].values == pytest.approx(0.35 * (1 + 2 + 4 + 8))
+
+
 def test_what_is_fixed_is_not_laid_again(bend):
     """What follows lies as if all had been laid anew, with the derivatives by what is not fixed."""
     pattern, trajectory = bend
