@@ -23,7 +23,7 @@ def bent():
     def apply(setup):
         setup.natural_curvature = setup.natural_curvature + np.array([2.0, -3.0])
 
-    return synthetic(apply, trials=8, edge_count=60)
+    return synthetic(apply, trials=8)
 
 
 def test_the_best_until_then_is_judged_and_explains_a_part_at_most(bent, monkeypatch, tmp_path):

@@ -121,7 +121,8 @@ def outliers_of(residual: np.ndarray, noise: float) -> np.ndarray:
 
     Whatever the model misses moves neighbouring markers alike, so a residual (T, M, 3) [m] is
     compared with the median of three lines through its neighbours, in units of what such
-    differences are over all trials at that marker.
+    differences are over all trials at that marker and, of each coordinate, over all markers of that
+    trial: one that a model misses by far has none that stand apart, and tells most.
     """
     count = residual.shape[1]
     if count < 8:
@@ -136,9 +137,10 @@ def outliers_of(residual: np.ndarray, noise: float) -> np.ndarray:
             lines.append(residual[:, a] + (residual[:, b] - residual[:, a]) * (m - a) / (b - a))
         away[:, m] = residual[:, m] - np.nanmedian(lines, axis=0)
     away = np.nan_to_num(away)
-    spread = np.median(np.abs(away), axis=(0, 2)) / 0.6745
-    limit = _OUTLIER * np.maximum(spread, noise)
-    return (np.abs(away) > limit[:, None]).any(axis=2)
+    away = np.abs(away)
+    usual = np.maximum(np.median(away, axis=(0, 2)) / 0.6745, noise)
+    in_trial = np.median(away, axis=1, keepdims=True) / 0.6745
+    return (away > _OUTLIER * np.maximum(usual[:, None], in_trial)).any(axis=2)
 
 
 def whiteners(noise, arc_length, seen, scatter_rates) -> tuple[np.ndarray, np.ndarray]:
