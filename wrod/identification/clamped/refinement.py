@@ -35,7 +35,7 @@ from wrod.identification.clamped.profiles import (
     root_of,
     told,
 )
-from wrod.identification.clamped.steps import has_profile, held_out_error, pruned
+from wrod.identification.clamped.steps import has_profile, held_out_error, pruned, reordered
 from wrod.identification.clamped.verdict import Round, changed_by
 from wrod.identification.effect import Effect, Estimate, Model
 
@@ -78,18 +78,26 @@ class _Beside:
 
 
 def refined(
-    laboratory: Laboratory, current: Fit, rounds: list[Round], held_out: tuple[float, float]
+    laboratory: Laboratory,
+    current: Fit,
+    rounds: list[Round],
+    held_out: tuple[float, float],
+    profiles: bool = True,
 ) -> tuple[Fit, tuple[float, float], dict[int, Fit]]:
     """(model, (before, after) RMS of markers held out, by place what else it may be): a chosen
     model, with a profile in place of an effect whose law along the rod is not its own; what was
     weighed joins `rounds`.
 
     With a profile in it, the laboratory's noise is what that model leaves. What else a model may be
-    is one with a profile about the effect at that place, for `in_doubt`.
+    is one with a profile about the effect at that place, or one with an effect more, behind the
+    last place, that was too little to name: for `in_doubt`.
+
+    Args:
+        profiles: whether to weigh profiles at all.
     """
     declared, doubts = (laboratory.noise, laboratory.scatter_rates), {}
     there = has_profile(current.model)
-    for place, effect in enumerate(current.model.effects):
+    for place, effect in enumerate(current.model.effects if profiles else ()):
         kind = _kind_of(laboratory, effect)
         if kind is None or (there and not isinstance(effect, ProfileEffect)):
             continue
@@ -114,7 +122,21 @@ def refined(
                 return _polished(laboratory, rich), (held_out[0], error), {}
             doubts[place] = rich
         laboratory.set_noise(*declared)
-    return current, held_out, doubts
+    return current, held_out, doubts | _refused(laboratory, current, rounds)
+
+
+def _refused(laboratory: Laboratory, final: Fit, rounds: list[Round]) -> dict[int, Fit]:
+    """By the place behind the last, the model with one effect more that was too little to name
+    (`judged`); nothing where there is none."""
+    own, place = final.model.effects, len(final.model.effects)
+    for step in reversed(rounds):
+        effects = step.best.model.effects
+        if step.stays and len(effects) == place + 1 and set(own) < set(effects):
+            rest = [k for k, e in enumerate(effects) if e not in own]
+            rich = reordered(step.best, [*(effects.index(e) for e in own), *rest])
+            again = fit_models(laboratory, [rich.model], [rich.values], origin=rich, race=False)
+            return {place: again[0]} if np.isfinite(again[0].chi_squared) else {}
+    return {}
 
 
 def in_doubt(fit: Fit, place: int, doubts: dict[int, Fit], measurements) -> dict[str, Estimate]:

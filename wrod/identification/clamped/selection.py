@@ -7,7 +7,8 @@ is never exactly the rod's: smaller gains would only mend its form), and lowers 
 trials held out in cross-validation. Where the base model has no excess, and none is hidden by
 scatter from trial to trial, the effect has to take as much as squares of noise vary by themselves.
 No model has more than `MOST_EFFECTS`, and where two effects leave more than half of the excess a
-third is not tried: what so many small effects mend is not theirs.
+third is not tried: what so many small effects mend is not theirs. What only takes too little is not
+named, and may be there all the same: errors that are told are those beside it.
 
 Where no known effect reaches the noise, effects are built from profiles along the rod (`profiles`):
 a few numbers at one place that reach it by themselves are chosen among themselves, else all are
@@ -76,9 +77,8 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, build: bool = Fa
     """
     try:
         current, rounds, held_out = _chosen(laboratory, candidates, build)
-        final, doubts = _polished(laboratory, current), {}
-        if build:
-            final, held_out, doubts = refined(laboratory, final, rounds, held_out)
+        final = _polished(laboratory, current)
+        final, held_out, doubts = refined(laboratory, final, rounds, held_out, build)
         laboratory.clock.extend()
         found = judge(laboratory, final, base_fit(laboratory), rounds, held_out, doubts)
         return _or_drifting(laboratory, candidates, final, found) if build else found

@@ -328,18 +328,24 @@ def held_out_error(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
 
 def judged(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit, fits, held_out):
     """(step from a model to the best of its extensions, its held-out error): see the module."""
-    gain = current.bic - best.bic
+    gain, stays = current.bic - best.bic, ""
     reason, ahead = too_little(laboratory, empty, current, best), held_out
-    if not reason:
+    small = bool(reason) and reason == small_share(empty, current, best)
+    beside = set() < set(current.model.effects) < set(best.model.effects)
+    if not reason or (small and beside):
         try:
             ahead = held_out_error(laboratory, best)
         except DataError:
             reason = "a trial held out has no equilibrium with it"
         if ahead[1] >= held_out[1]:
             reason = reason or "trials held out get worse"
+        elif reason:
+            # What is too little to name may be there, and hide in the size of what is named.
+            stays = " + ".join(best.model.names)
+            reason = f"BIC falls by {gain:.0f}, but it {reason}"
     said = reason or f"BIC falls by {gain:.0f}, held-out error to {1e3 * ahead[0]:.3f} mm"
     gains, accepted = [current.bic - f.bic for f in fits], None if reason else best.model.names
-    return Round(current.model.names, best, fits, gains, accepted, said), ahead
+    return Round(current.model.names, best, fits, gains, accepted, said, stays), ahead
 
 
 def too_little(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit) -> str:
@@ -349,18 +355,25 @@ def too_little(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit) -> s
     fluctuation = np.sqrt(2.0 * empty.residual_count)
     gain = current.bic - best.bic
     taken = current.chi_squared - best.chi_squared
-    left = current.chi_squared - current.residual_count
-    share = taken / max(excess, fluctuation)
-    # Where much is left to explain, an effect beside a far larger one may be small.
-    more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
     if gain < BIC_MARGIN:
         return f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
     # Scatter that was estimated beside it takes most of the squares of a small effect away.
     scattered = any(laboratory.noise.scatter)
     if not scattered and excess < FLUCTUATION * fluctuation and taken < fluctuation:
         return f"takes {taken:.0f} squares, noise alone varies by {fluctuation:.0f}"
-    if share < LEAST_SHARE and not more:
-        return f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
+    return small_share(empty, current, best)
+
+
+def small_share(empty: Fit, current: Fit, best: Fit) -> str:
+    """Why what a model takes beyond another may only mend its form; nothing where it is enough."""
+    excess = max(empty.chi_squared - empty.residual_count, np.sqrt(2.0 * empty.residual_count))
+    taken = current.chi_squared - best.chi_squared
+    left = current.chi_squared - current.residual_count
+    # Where much is left to explain, an effect beside a far larger one may be small.
+    more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
+    if taken < LEAST_SHARE * excess and not more:
+        share = f"{100 * taken / excess:.2g} %"
+        return f"takes {share} of the excess, less than {100 * LEAST_SHARE:g} %"
     return ""
 
 

@@ -60,7 +60,7 @@ class Selection:
         changing: what changes while it is measured, a phrase; empty where nothing is seen to.
         left_over: the likeliest print beside the model; None where more than noise is left anyway.
         doubts: by place in the model, one with a profile about the effect there: what else it may
-            be.
+            be; by the place behind the last, one with an effect more that was too small to name.
     """
 
     verdict: str
@@ -286,7 +286,7 @@ def _confounded(laboratory: Laboratory, fit: Fit, rounds: list[Round]) -> list[d
     found += [
         {"effects": [" + ".join(step.current), step.stays], "evidence": step.reason}
         for step in rounds
-        if step.stays and step.current == fit.model.names
+        if step.stays and set(step.current) == set(fit.model.names)
     ]
     compared = [
         (step.fits, own)
