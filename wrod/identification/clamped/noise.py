@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import approx_fprime, minimize
 
 from wrod.identification.effect import Model, effects
 
@@ -186,6 +186,15 @@ def estimate(laboratory, model: Model, values: np.ndarray) -> tuple[NoiseModel, 
     return likelihood.best(), scatter / laboratory.deviation[..., None]
 
 
+def _least(value, first: np.ndarray, bounds: list[tuple[float, float]]) -> np.ndarray:
+    """Where a likelihood is best within bounds, after 30 steps at most."""
+    # SciPy's own differences refuse a place that rounding has put beyond a bound.
+    return minimize(
+        value, first, jac=lambda p: approx_fprime(p, value, 1e-8), method="L-BFGS-B",
+        bounds=bounds, options={"maxiter": 30},
+    ).x  # fmt: skip
+
+
 def scatter_errors(laboratory, model: Model, values: np.ndarray, noise: NoiseModel) -> np.ndarray:
     """Standard errors of the scatters that `estimate` has found beside a model [m] or [rad]."""
     return _likelihood(laboratory, model, values)[0].scatter_errors(noise)
@@ -254,11 +263,11 @@ class _Restricted:
                 bounds = along * correlated + groups * scattered
                 for start in starts:
                     first = np.array(start + small * scattered)
-                    result = minimize(
+                    likeliest = _least(
                         lambda p, c=correlated, s=scattered: self.value(*self._read(p, c, s)),
-                        first, method="L-BFGS-B", bounds=bounds, options={"maxiter": 30},
+                        first, bounds,
                     )  # fmt: skip
-                    size, share, length, own = self._read(result.x, correlated, scattered)
+                    size, share, length, own = self._read(likeliest, correlated, scattered)
                     # A scatter that does nothing is none.
                     own = np.where(own > 20 * _NO_SCATTER, own, 0.0)
                     own = self._needed((size, share, length), own)
@@ -320,11 +329,8 @@ class _Restricted:
             return own
 
         first, limits = np.log(scatter[seen]), (np.log(_NO_SCATTER), np.log(30.0))
-        found = minimize(
-            lambda p: self.value(*along, sizes(p)), first, bounds=[limits] * len(first),
-            method="L-BFGS-B", options={"maxiter": 30},
-        )  # fmt: skip
-        return sizes(found.x)
+        bounds = [limits] * len(first)
+        return sizes(_least(lambda p: self.value(*along, sizes(p)), first, bounds))
 
     def _read(self, p, correlated, scattered):
         size, share, length = 1.0, 0.0, 1.0
