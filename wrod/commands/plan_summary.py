@@ -116,7 +116,8 @@ def _expectation(expected: dict, optimised: dict | None) -> list[str]:
         )
         tried = ", ".join(f"{100 * e:.2f} cm at {v:g}" for v, e in optimised.get("paces", ()))
         lines.append(
-            f"to be laid at {optimised['pace']:g} m/s of the contact"
+            f"to be laid at {optimised['pace']:g} m/s of the contact, slower where the grip goes "
+            "over 1.4 times as far"
             + (f", the fastest that does no harm of {tried} m/s" if tried else "")
         )
         if optimised.get("ended_early"):

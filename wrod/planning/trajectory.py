@@ -58,7 +58,8 @@ class Trajectory:
             NaN where the method does not compute it.
         metadata: what made the plan (method, closure, rod, pattern, ...); plain JSON values.
         shape: (T, nodes, 3) centrelines of the suspended part from contact to grip [m], or None
-            where the method does not compute them; saved in the NPZ file only.
+            where the method does not compute them; saved in the NPZ file only. Those of a corrected
+            plan are moved with the grip, no equilibria: their length is off by as much.
         twist: (T,) angle by which the rod is twisted between contact and grip [rad], or None where
             it is not; whole turns count, which `rotation` cannot tell. In the NPZ file only.
         roll: that the rod is put into the grip at: of its first material director where it begins,
