@@ -516,6 +516,7 @@ CALLS = {
             frame_interval=None, device="cpu", threads=None, progress=None,
         ),
     ),
+    "pose_times": lambda: (wrod.pose_times, dict(trajectory=path(), speed=0.2)),
     "RodBatch": lambda: (wrod.RodBatch, batch()),
     "RodBatch.of": lambda: (
         wrod.RodBatch.of,

@@ -3,6 +3,7 @@
 from .controller.controller import Controller as Controller
 from .deployment.discretisation import Discretisation as Discretisation
 from .deployment.fixtures import Fixtures as Fixtures
+from .deployment.grip_path import pose_times as pose_times
 from .deployment.looking_on import FeedbackLoop as FeedbackLoop
 from .deployment.plan import plan as plan
 from .deployment.result import Deployment as Deployment

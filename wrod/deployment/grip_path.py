@@ -10,7 +10,10 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from wrod import arguments
+from wrod.errors import DataError
 from wrod.kernels.stepping import grip as kernels
+from wrod.planning.trajectory import Trajectory
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import RodState
 
@@ -18,6 +21,8 @@ from wrod.rods.state import RodState
 KEY_INTERVAL = 0.02
 # The grip's pace is looked at every millimetre, and changes over a centimetre of laid rod [m].
 _PACE_SPACING, _PACE_WIDTH = 0.001, 0.01
+# Paces that a deployment takes [m/s].
+_PACES = arguments.number(1e-5, 100.0)
 
 
 class GripPath:
@@ -54,6 +59,45 @@ class GripPath:
     def __call__(self, laid: np.ndarray) -> tuple[np.ndarray, Rotation]:
         laid = np.clip(laid, self.first, self.last)
         return self._position(laid), self._rotation(laid)
+
+
+@arguments.checked(
+    DataError,
+    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
+    speed=arguments.optional(_PACES),
+)
+def pose_times(trajectory: Trajectory, speed: float | None = None) -> np.ndarray:
+    """When the grip is to be at each pose of a trajectory, for a robot or another simulator.
+
+    Played at a constant pace of the contact instead, a grip goes several times as fast at bends,
+    and its inertia drags the rod off them.
+
+    Args:
+        trajectory: of a plan.
+        speed: of the contact where the grip has not far to go [m/s], as
+            `wrod.simulate_deployment` takes it; by default the pace that the plan was corrected
+            for, 0.02 where it was for none.
+
+    Returns:
+        (T,) times [s] from 0 on, from rest to rest. The contact is slower where the grip goes over
+        1.4 times as far, smoothly over 1 cm.
+
+    Raises:
+        DataError: an argument is no trajectory, or no pace; the trajectory has two poses for one
+            laid length, or fewer than two.
+    """
+    if len(trajectory) < 2 or not np.all(np.diff(trajectory.arc_length) > 0.0):
+        raise DataError("pose_times: a pose of the trajectory lays no more than the one before")
+    laid = trajectory.arc_length
+    path = GripPath(laid, trajectory.position, trajectory.rotation)
+    pace = (trajectory.optimised or {}).get("pace", 0.02) if speed is None else speed
+    if said := arguments.wrong(_PACES, pace):
+        raise DataError(f"pose_times: metadata: optimised: pace {said}")
+    duration, laid_at = path.timed(pace)
+    t = np.linspace(0.0, duration, max(4000, 40 * len(laid)))
+    times = np.interp(laid, laid_at(t), t)
+    times[0], times[-1] = 0.0, duration
+    return times
 
 
 def travel(distance: float, speed: float) -> tuple[float, Callable[[np.ndarray], np.ndarray]]:
