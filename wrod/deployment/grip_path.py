@@ -22,7 +22,7 @@ KEY_INTERVAL = 0.02
 # The grip's pace is looked at every millimetre, and changes over a centimetre of laid rod [m].
 _PACE_SPACING, _PACE_WIDTH = 0.001, 0.01
 # Paces that a deployment takes [m/s].
-_PACES = arguments.number(1e-5, 100.0)
+PACES = arguments.number(1e-5, 100.0)
 
 
 class GripPath:
@@ -64,7 +64,7 @@ class GripPath:
 @arguments.checked(
     DataError,
     trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
-    speed=arguments.optional(_PACES),
+    speed=arguments.optional(PACES),
 )
 def pose_times(trajectory: Trajectory, speed: float | None = None) -> np.ndarray:
     """When the grip is to be at each pose of a trajectory, for a robot or another simulator.
@@ -91,7 +91,7 @@ def pose_times(trajectory: Trajectory, speed: float | None = None) -> np.ndarray
     laid = trajectory.arc_length
     path = GripPath(laid, trajectory.position, trajectory.rotation)
     pace = (trajectory.optimised or {}).get("pace", 0.02) if speed is None else speed
-    if said := arguments.wrong(_PACES, pace):
+    if said := arguments.wrong(PACES, pace):
         raise DataError(f"pose_times: metadata: optimised: pace {said}")
     duration, laid_at = path.timed(pace)
     t = np.linspace(0.0, duration, max(4000, 40 * len(laid)))

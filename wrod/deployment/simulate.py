@@ -17,6 +17,7 @@ from wrod.deployment.bounds import (
 )
 from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.fixtures import Fixtures
+from wrod.deployment.grip_path import PACES
 from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import Disturbance, Setup, disturb, mesh, prepare_deployment
 from wrod.deployment.sharing_out import chunks, shared_out
@@ -94,7 +95,7 @@ def simulate_deployment(
     ),
     hold=arguments.number(0.0, 100.0),
     release=arguments.optional(arguments.number(0.0, 100.0)),
-    speed=arguments.number(1e-5, 100.0),
+    speed=PACES,
     discretisation=arguments.like("a wrod.Discretisation", "spacing", "step", "scheme"),
     frame_interval=arguments.optional(arguments.number(1e-5, 1e6)),
     threads=arguments.optional(arguments.whole(0, 4096)),
