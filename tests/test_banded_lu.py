@@ -36,13 +36,13 @@ def test_solutions_are_those_of_the_whole_matrix(nodes):
     wanted = np.linalg.solve(matrix, x)
     pace = Pace()
     pace.accepted, pace.time = rods, wp.zeros(2, dtype=wp.float64, device="cpu")
-    for size, kernel in ((8, kernels.solve_tangents), (1, kernels.solve_tangents_lanes)):
+    packed, alone = kernels.vector_of(kernels.PACK), banded_lu.ALONE
+    for vector, kernel in ((packed, kernels.solve_tangents), (alone, kernels.solve_tangents_lanes)):
+        size = vector._length_
         packs = 8 // size
         dim = (2, packs) if size > 1 else (2, packs, 1)
         columns = x.reshape(2, n, packs, size).transpose(0, 2, 1, 3)
-        solution = wp.array(
-            np.ascontiguousarray(columns), dtype=kernels.vector_of(size), device="cpu"
-        )
+        solution = wp.array(np.ascontiguousarray(columns), dtype=vector, device="cpu")
         begin = wp.zeros((2, packs), dtype=wp.float64, device="cpu")
         inputs = [begin, pace, factor]
         wp.launch(kernel, dim, inputs=inputs, outputs=[solution], device="cpu")

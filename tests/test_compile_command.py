@@ -7,7 +7,9 @@ from importlib import import_module
 from threading import Event
 
 import pytest
+import warp as wp
 from wrod.kernels import compiling
+from wrod.kernels.stepping import deployment_tangents
 
 from wrod.commands import compile as ahead
 from wrod.scene import beside
@@ -69,6 +71,19 @@ def test_kernels_that_a_cpu_needs_are_compiled():
     for name in whole:
         place, _, kernel = name.partition(":")
         assert hasattr(import_module(place), kernel or "__doc__")
+
+
+def test_kernels_of_any_vector_are_compiled_for_those_of_a_cpu(monkeypatch):
+    """What a module is compiled for is part of its name in the cache."""
+    loaded = []
+    monkeypatch.setattr(wp, "force_load", lambda device, modules, block_dim: loaded.extend(modules))
+    ahead._compile_module(deployment_tangents.__name__)
+    (module,) = loaded
+    before = module.get_module_hash(1)
+    deployment_tangents.vector_of(deployment_tangents.PACK)  # as a deployment does
+    assert module.get_module_hash(1) == before
+    generic = [kernel for kernel in module.kernels.values() if kernel.is_generic]
+    assert generic and all(kernel.overloads for kernel in generic)
 
 
 def test_what_cannot_be_compiled_is_said():

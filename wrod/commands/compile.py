@@ -139,10 +139,13 @@ def _compile_module(name: str) -> None:
 
     import warp as wp
 
-    # Others put kernels of their own into some modules once they are imported.
+    # Others put kernels of their own into some modules once they are imported or first used.
     for other in _modules():
         import_module(other)
     import wrod.solvers.dynamics  # noqa: F401
+    from wrod.kernels.stepping import deployment_tangents
+
+    deployment_tangents.vector_of(deployment_tangents.PACK)
 
     place, _, kernel = name.partition(":")
     home = import_module(place)
