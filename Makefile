@@ -22,6 +22,8 @@ setup: $(STAMP)
 demo: $(STAMP)
 	$(BIN)/wrod plan letter-A --rod green-vps --out out/letter-A
 
+# Bytecode is kept, whatever is set: tests start processes that would compile all modules each.
+test: export PYTHONDONTWRITEBYTECODE =
 test: lint types
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile
 

@@ -11,12 +11,14 @@ import wrod
 
 # Modules, kernels and tests are millions of objects that stay: looking through them again and again
 # for garbage takes a quarter of the time that importing them does.
+gc.disable()
 gc.set_threshold(100_000, 20, 20)
 
 
 def pytest_collection_finish():
     """Leave what has been imported out of further searches for garbage."""
     gc.freeze()
+    gc.enable()
 
 
 def pytest_unconfigure():
