@@ -282,7 +282,7 @@ def joint_path():
     pytest.importorskip("pytorch_kinematics")
     return dict(
         trajectory=path(), robot="sawyer", placement="auto", grip_angle="auto",
-        table_height=None, obstacles=None, grip_speed=0.02, rate=100.0, limit_margin=0.02,
+        table_height=None, obstacles=None, pace=0.02, rate=100.0, limit_margin=0.02,
         clearance=0.005,
     )  # fmt: skip
 

@@ -7,13 +7,14 @@ import pytest
 
 import wrod
 from wrod.deployment.assembly import assemble
-from wrod.deployment.grip_path import smooth_noise, travel
+from wrod.deployment.grip_path import smooth_noise
 from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import mesh
 from wrod.deployment.simulate import prepare_trials, simulate_deployments
 from wrod.deployment.tangents import Directions, lay
 from wrod.deployment.trial import Trial
 from wrod.errors import DataError, PatternError, RodError
+from wrod.planning.pace import from_rest_to_rest
 from wrod.planning.tail import tail
 
 # A soft rod of 30 cm along an eased quarter turn: short tails and a coarse mesh keep it quick.
@@ -252,8 +253,8 @@ def test_a_rod_brings_its_drag(plans):
 
 
 def test_time_law_is_smooth_and_exact():
-    duration, covered = travel(0.5, 0.05)
-    t = np.linspace(0.0, duration, 2001)
+    covered = from_rest_to_rest(0.5, 0.05)
+    t = np.linspace(0.0, covered.x[-1], 2001)
     s = covered(t)
     assert s[0] == 0.0
     assert s[-1] == pytest.approx(0.5, rel=1e-12)

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -107,8 +108,47 @@ def test_timing_keeps_the_limits_and_the_rate(letter_path):
     assert (np.diff(letter_path.node_time) > 0).all()
 
 
+def test_an_arm_that_is_fast_enough_is_at_each_pose_when_that_is_due(letter, letter_path):
+    own = replace(letter, metadata={**letter.metadata, "optimised": {"pace": 0.04}})
+    robot = letter_path.robot
+    fast = replace(
+        robot, velocity=1e3 * robot.velocity, acceleration=1e3 * robot.acceleration,
+        jerk=1e3 * robot.jerk,
+    )  # fmt: skip
+    for plan, asked, pace in ((letter, None, 0.02), (own, None, 0.04), (own, 0.3, 0.3)):
+        path = wrod.solve_joint_path(plan, fast, letter_path.placement, pace=asked)
+        assert path.pace == path.steady_pace == pace
+        assert path.slowed["most"] == pytest.approx(1.0, abs=1e-3) and not path.slowed["at"]
+        due = wrod.pose_times(plan, asked)
+        np.testing.assert_allclose(path.node_time, due, atol=2e-3)
+        # And between the nodes, whichever way the travel is counted.
+        even = (path.time > 0.5) & (path.time < due[-1] - 0.5)
+        laid = np.interp(path.time, due, letter.arc_length)
+        np.testing.assert_allclose(path.arc_length[even], laid[even], atol=2e-4)
+
+
+def test_an_arm_that_its_limits_slow_down_says_where(letter, letter_path):
+    from wrod.commands.plan_summary import _laid_slowly
+    from wrod.robot.timing import laid_slowly
+
+    assert _laid_slowly(letter_path.metadata) == []
+    robot = letter_path.robot
+    slow = replace(robot, velocity=0.7 * np.abs(letter_path.velocities).max(axis=0))
+    path = wrod.solve_joint_path(letter, slow, letter_path.placement)
+    assert (np.abs(path.velocities) <= slow.velocity).all()
+    ratio = np.diff(path.node_time) / np.diff(wrod.pose_times(letter))
+    assert path.slowed["most"] == pytest.approx(ratio.max()) and ratio.min() > 1.02
+    assert path.slowed["at"] == [letter.arc_length[[0, -1]].tolist()]
+    assert path.steady_pace == pytest.approx(0.02 / path.slowed["most"], rel=2e-3)
+    (said,) = _laid_slowly(path.metadata)
+    assert "at 0.02 m/s where 0.000 to 0.458 m are laid: it is up to 1.4 times as slow" in said
+    laid = np.linspace(0.0, 0.5, 6)
+    times = [0.0, 1.0, 3.5, 4.5, 5.5, 8.0]
+    assert laid_slowly(np.arange(6.0), np.array(times), laid) == (2.5, [[0.1, 0.2], [0.4, 0.5]])
+
+
 def test_fast_grip_is_slowed_to_the_joint_limits(letter, letter_path):
-    fast = wrod.solve_joint_path(letter, placement=letter_path.placement, grip_speed=5.0)
+    fast = wrod.solve_joint_path(letter, placement=letter_path.placement, pace=5.0)
     load = fast.metadata["load"]
     assert max(load.values()) == pytest.approx(1.0, abs=0.1)
     assert max(load.values()) <= 1.0 + 1e-6
@@ -117,17 +157,19 @@ def test_fast_grip_is_slowed_to_the_joint_limits(letter, letter_path):
 
 def test_where_the_grip_turns_back_alone_it_is_slow(letter_path):
     """Joints that turn back within two millimetres of half a metre of travel."""
-    from wrod.robot.timing import schedule
+    from wrod.robot.timing import Course, gently, schedule
 
     robot, u = letter_path.robot, np.linspace(0.0, 0.5, 20001)
     bend = np.outer(np.sqrt((u - 0.3) ** 2 + 2e-4**2), 3.0 + np.arange(7))
     spline = CubicSpline(u, bend)
-    steady = schedule(robot, lambda x, n=0: spline(0.0 * x + 0.1, n), 0.5, 0.05)
-    timing = schedule(robot, spline, 0.5, 0.05)
-    assert timing.steady_speed < 0.01 < timing.speed < 0.05 + 1e-12
+    even = Course(lambda x, n=0: spline(0.0 * x + 0.1, n), 0.5)
+    steady = schedule(robot, even, 0.05, gently)
+    timing = schedule(robot, Course(spline, 0.5), 0.05, gently)
+    assert 0.05 / timing.stretched < 0.01
     assert timing.duration < 1.5 * steady.duration
     time = np.arange(0.0, timing.duration, 1e-3)
     travel, rate = timing.travel(time)
+    assert 0.01 < rate.max() < 0.05 + 1e-12
     assert travel[[0, -1]] == pytest.approx([0.0, 0.5], abs=1e-6) and (np.diff(travel) >= 0).all()
     np.testing.assert_allclose(np.gradient(travel, 1e-3)[1:-1], rate[1:-1], atol=1e-5)
     inside = np.abs(travel - 0.25) < 0.2

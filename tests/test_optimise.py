@@ -11,7 +11,7 @@ from cli import done
 import wrod
 from wrod.commands.plan_summary import _expectation
 from wrod.deployment import descent, together
-from wrod.deployment.corrections import Corrections, pace_of
+from wrod.deployment.corrections import Corrections
 from wrod.deployment.descent import State, TableTask, descend
 from wrod.deployment.expectation import (
     Unseen,
@@ -29,6 +29,7 @@ from wrod.deployment.spread import Spread
 from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.deployment.together import Asked, _laid
 from wrod.errors import GraspError, PatternError
+from wrod.planning.pace import pace_of
 from wrod.solvers.friction import Friction
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.36)

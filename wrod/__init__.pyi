@@ -3,7 +3,6 @@
 from .controller.controller import Controller as Controller
 from .deployment.discretisation import Discretisation as Discretisation
 from .deployment.fixtures import Fixtures as Fixtures
-from .deployment.grip_path import pose_times as pose_times
 from .deployment.looking_on import FeedbackLoop as FeedbackLoop
 from .deployment.plan import plan as plan
 from .deployment.result import Deployment as Deployment
@@ -33,6 +32,7 @@ from .perception.measure import measure_deployment as measure_deployment
 from .perception.scan import scan as scan
 from .perception.trace import trace_centerlines as trace_centerlines
 from .planning.friction import friction_bound as friction_bound
+from .planning.pace import pose_times as pose_times
 from .planning.trajectory import Trajectory as Trajectory
 from .robot.joint_path import JointPath as JointPath
 from .robot.model import load_robot as load_robot

@@ -55,10 +55,6 @@ class Planned:
         return path, curve, rod
 
 
-# Pace of a plan that was corrected for none [m/s].
-_PACE = 0.02
-
-
 @dataclass(frozen=True)
 class Laying:
     """The world that the rod is laid in, and how."""
@@ -92,9 +88,9 @@ class Laying:
 
     def pace(self, path) -> float:
         """Speed of the contact [m/s]: as asked for, or what the path was corrected for."""
-        from wrod.deployment.corrections import pace_of
+        from wrod.planning.pace import USUAL_PACE, pace_of
 
-        return self.speed or pace_of(path) or _PACE
+        return self.speed or pace_of(path) or USUAL_PACE
 
     def settle(self, path, device: str) -> None:
         """Say what it costs, and refuse what costs too much."""

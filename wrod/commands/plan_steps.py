@@ -1,6 +1,5 @@
 """The steps of `wrod plan`, each of which leaves something behind: grasps, files, joint path."""
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -71,13 +70,11 @@ def within_speed(request, pace, planned):
         return pace
     *_, start = planned()
     low, high = sorted(pace)
-    # On a straight line a grip goes down as fast as forward.
-    asked = math.sqrt(2.0) * high
     try:
-        path = request.solve(start, grip_speed=asked, whole_job=False)
+        path = request.solve(start, pace=high, whole_job=False)
     except RobotError:
         return pace  # said when the corrected plan is followed
-    return low, max(low, high * min(path.steady_speed / asked, 1.0))
+    return low, max(low, path.steady_pace)
 
 
 def save_plan(out: Path, curve, trajectory) -> list[Path]:

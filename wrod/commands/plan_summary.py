@@ -59,7 +59,7 @@ def summary(figures: dict) -> str:
             lines.append(
                 ", ".join(f"{p['name']} {p['end'] - p['start']:.0f} s" for p in path["phases"])
             )
-        lines += _laid_slowly(path, figures)
+        lines += _laid_slowly(path)
         if "stand" in path:
             lines.append(
                 "the rod waits at a stand that "
@@ -68,17 +68,15 @@ def summary(figures: dict) -> str:
     return "\n".join(lines)
 
 
-def _laid_slowly(path: dict, figures: dict) -> list[str]:
-    """That the arm lays a plan that is meant for a pace more slowly, if it does."""
-    planned = (figures.get("optimised") or {}).get("pace")
-    if planned is None:
+def _laid_slowly(path: dict) -> list[str]:
+    """Where the arm lays more slowly than at the pace that is kept elsewhere, if it does."""
+    slowed = path["slowed"]
+    if not slowed["at"]:
         return []
-    pace = figures["laid_length"] / path.get("lay_duration", path["duration"])
-    if pace > 0.75 * planned:
-        return []
+    places = ", ".join(f"{a:.3f} to {b:.3f}" for a, b in slowed["at"])
     return [
-        f"the arm's contact goes at {pace:.2g} m/s on average, where the grip swings wide or turns "
-        f"back; `wrod deploy --trajectory ... --speed {pace:.2g}` lays it so"
+        f"the arm's limits do not let it lay at {path['pace']:g} m/s where {places} m are laid: it "
+        f"is up to {slowed['most']:.2g} times as slow there"
     ]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -37,9 +36,7 @@ class RobotRequest:
     flange: str | None = option("Link that carries the gripper; default: the arm's last.")
     tip: str | None = option("Link of the arm's own gripper at the grasp point, +z along it.")
     gripper_length: float | None = option("From flange to grasp point [m]; 0.15.")
-    speed: float | None = option(
-        "Of the grip along its path [m/s]; as planned for the table, or 0.02."
-    )
+    speed: float | None = option("Speed of the contact [m/s]; that of the plan, or 0.02.")
     obstacles: Path | None = option(
         "JSON list of boxes, cylinders, spheres and meshes that stand in the way."
     )
@@ -144,7 +141,6 @@ class RobotRequest:
         Raises:
             RobotError: there is none.
         """
-        from wrod.deployment.corrections import pace_of
         from wrod.robot.model import load_robot
         from wrod.robot.obstacles import Obstacles
         from wrod.robot.solve import solve_joint_path
@@ -158,12 +154,8 @@ class RobotRequest:
             "placement": self.placement,
             "whole_job": not self.lay_only,
         }
-        pace = pace_of(trajectory)
         if self.speed is not None:
-            options["grip_speed"] = self.speed
-        elif pace is not None:
-            # On a straight line a grip goes down as fast as forward.
-            options["grip_speed"] = math.sqrt(2.0) * pace
+            options["pace"] = self.speed
         return solve_joint_path(trajectory, robot, **{**options, **changes})
 
     def export(self, joint_path, folder) -> list[Path]:

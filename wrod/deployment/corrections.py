@@ -9,8 +9,6 @@ from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 
-# Paces that a contact may have [m/s].
-_SLOWEST, _FASTEST = 5e-4, 10.0
 # Spacing of the knots of the corrections [L_gb].
 _KNOTS = 1.0
 
@@ -87,15 +85,6 @@ def moved(trajectory: Trajectory, displacement: np.ndarray) -> Trajectory:
         shape=shape,
         metadata={**trajectory.metadata, "contact_friction": None},
     )
-
-
-def pace_of(trajectory: Trajectory) -> float | None:
-    """Pace of the contact that a plan was corrected for [m/s]; None: it was not, or its file holds
-    none that could be."""
-    said = trajectory.optimised
-    pace = said.get("pace") if isinstance(said, dict) else None
-    usable = isinstance(pace, int | float) and _SLOWEST <= pace <= _FASTEST
-    return float(pace) if usable else None
 
 
 def with_share(start: Trajectory, corrected: Trajectory, share: float) -> Trajectory:

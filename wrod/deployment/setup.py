@@ -11,12 +11,13 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from wrod import arguments
-from wrod.deployment.grip_path import KEY_INTERVAL, GripPath, GripSchedule, smooth_noise
+from wrod.deployment.grip_path import KEY_INTERVAL, GripSchedule, smooth_noise
 from wrod.errors import PatternError, RodError
 from wrod.grasps.mesh import rest_lengths
 from wrod.grasps.optimal import solve_grasps
 from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
+from wrod.planning.pace import TAIL_FASTER, GripPath
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
@@ -309,7 +310,7 @@ def _schedule(path, tail, begin, turns, release, held_nodes, speed):
     lay, tail_laid = 0.0, None
     if len(tail.laid) > 3:
         tail_path = GripPath(tail.laid, tail.position, tail.rotation)
-        lay, tail_laid = tail_path.timed(2.0 * speed)
+        lay, tail_laid = tail_path.timed(TAIL_FASTER * speed)
     measure_time = approach + deploy + _REST
     let_go_time = measure_time + lay + 0.5 * _REST
     end_time = let_go_time + _FALL

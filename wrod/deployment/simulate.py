@@ -17,7 +17,6 @@ from wrod.deployment.bounds import (
 )
 from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.fixtures import Fixtures
-from wrod.deployment.grip_path import PACES
 from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import Disturbance, Setup, disturb, mesh, prepare_deployment
 from wrod.deployment.sharing_out import chunks, shared_out
@@ -25,6 +24,7 @@ from wrod.deployment.trial import Trial
 from wrod.errors import RodError
 from wrod.kernels.stepping import pace
 from wrod.patterns.pattern import Pattern
+from wrod.planning.pace import PACES, USUAL_PACE
 from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.device import resolve_device
@@ -106,7 +106,7 @@ def simulate_deployments(
     *,
     hold: float = 0.05,
     release: float | None = None,
-    speed: float = 0.02,
+    speed: float = USUAL_PACE,
     discretisation: Discretisation = USUAL,
     frame_interval: float | None = None,
     device: str | None = "cpu",

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation, RotationSpline
+from scipy.spatial.transform import Rotation
 
 from wrod.arguments import number
 from wrod.errors import RobotError
+from wrod.planning.pace import GripPath
 from wrod.planning.trajectory import Trajectory
 from wrod.records import checked_fields
 
@@ -54,7 +55,8 @@ class TravelledPath:
 
     Attributes:
         travel: (T,) at the nodes: length of the grip's path, a turn counting `TURN_LENGTH` per
-            radian [m]; the curve's parameter.
+            radian [m]; the curve's parameter. `travel_at` is a spline of it over the laid length.
+        grip: its poses over the laid length.
         distance, turn: (T - 1,) from node to node, of the grip [m] and of the rod's frame [rad].
     """
 
@@ -65,15 +67,14 @@ class TravelledPath:
         turns = Rotation.from_matrix(trajectory.rotation)
         self.turn = (turns[:-1].inv() * turns[1:]).magnitude()
         self.distance = np.linalg.norm(np.diff(position, axis=0), axis=1)
-        self._position = CubicSpline(arc, position)
-        self._rotation = RotationSpline(arc, turns)
+        self.grip = GripPath(arc, position, trajectory.rotation)
         fine = np.interp(np.arange((len(arc) - 1) * _FINE + 1) / _FINE, np.arange(len(arc)), arc)
         rate = np.hypot(
-            np.linalg.norm(self._position(fine, 1), axis=1),
-            TURN_LENGTH * np.linalg.norm(self._rotation(fine, 1), axis=1),
+            np.linalg.norm(self.grip.position(fine, 1), axis=1),
+            TURN_LENGTH * np.linalg.norm(self.grip.rotation(fine, 1), axis=1),
         )
         travel = cumulative_simpson(np.maximum(rate, _SLOWEST), x=fine, initial=0.0)
-        self._arc = CubicSpline(travel, fine)
+        self._arc, self.travel_at = CubicSpline(travel, fine), CubicSpline(fine, travel)
         self.travel = travel[::_FINE]
 
     def __len__(self) -> int:
@@ -83,13 +84,13 @@ class TravelledPath:
         """(K, 4, 4) rod's frame at the grip, in the trajectory's frame [m]."""
         poses = np.tile(np.eye(4), (len(travel), 1, 1))
         arc = self.arc_length(travel)
-        poses[:, :3, 3] = self._position(arc)
-        poses[:, :3, :3] = self._rotation(arc).as_matrix()
+        position, rotation = self.grip(arc)
+        poses[:, :3, 3], poses[:, :3, :3] = position, rotation.as_matrix()
         return poses
 
     def arc_length(self, travel: np.ndarray) -> np.ndarray:
         """(K,) laid length at points of the curve [m]."""
-        return np.clip(self._arc(travel), *self._position.x[[0, -1]])
+        return np.clip(self._arc(travel), self.grip.first, self.grip.last)
 
     def node_of(self, travel: float) -> int:
         """Nearest node of a point of the curve."""

@@ -22,7 +22,7 @@ from wrod.robot.kinematics import refine, solve_poses
 from wrod.robot.placement import contact_in_base, foot, reach
 from wrod.robot.stand import stands, stays
 from wrod.robot.tail import LaidTail, tails
-from wrod.robot.timing import schedule
+from wrod.robot.timing import Course, gently, schedule
 from wrod.robot.transfers import Hand
 from wrod.robot.transit import Leg, Transit, find_way
 
@@ -245,7 +245,7 @@ def _timed(robot, leg: Leg, rate: float) -> tuple[np.ndarray, np.ndarray]:
     speed = _BESIDE_ROD if not straight else _IN_AIR
     x = places * length
     spline = make_interp_spline(x, leg.knots, k=1) if straight else CubicSpline(x, leg.knots)
-    timing = schedule(robot, spline, length, speed)
+    timing = schedule(robot, Course(spline, length), speed, gently)
     time = np.arange(np.ceil(timing.duration * rate) + 1) / rate
     travel, pace = timing.travel(time)
     return spline(travel), spline(travel, 1) * pace[:, None]

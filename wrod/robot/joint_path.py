@@ -99,15 +99,21 @@ class JointPath:
         return float(self.metadata["rate"])
 
     @property
-    def grip_speed(self) -> float:
-        """Fastest that the grip goes while it lays [m/s]."""
-        return self.metadata["grip_speed"]
+    def pace(self) -> float:
+        """Of the contact while it lays, as `wrod.pose_times` has it [m/s]."""
+        return self.metadata["pace"]
 
     @property
-    def steady_speed(self) -> float:
-        """Of the grip, that the arm could keep all along the laying [m/s]; less than `grip_speed`
-        where some places are passed more slowly."""
-        return self.metadata.get("steady_speed", self.grip_speed)
+    def steady_pace(self) -> float:
+        """The pace that the arm could keep all along the laying [m/s]; less than `pace` where its
+        limits ask for less somewhere."""
+        return self.metadata["steady_pace"]
+
+    @property
+    def slowed(self) -> dict:
+        """By how much "most" it lays more slowly than at its pace [-], and the stretches "at"
+        [from, to] of the laid length [m] where it does, for the arm's limits."""
+        return self.metadata["slowed"]
 
     @property
     def limit_margin(self) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import RobotError, WrodWarning, needed_extras
+from wrod.planning.pace import USUAL_PACE, pace_of, pose_times
 from wrod.planning.trajectory import Trajectory
 from wrod.robot.attempt import ArmTask, Solution
 from wrod.robot.collision import CollisionModel
@@ -22,7 +23,7 @@ from wrod.robot.model import Robot, load_robot
 from wrod.robot.placement import Placement, candidates
 from wrod.robot.search import Branch
 from wrod.robot.tail import FINGERS
-from wrod.robot.timing import schedule
+from wrod.robot.timing import Course, laid_slowly, schedule
 from wrod.robot.variation import vary
 
 GRIP_ANGLES = tuple(math.radians(angle) for angle in (0, 30, 60, 90))
@@ -59,7 +60,7 @@ FAR = 2.5  # [rad] beyond a last joint's turn, from where on elbow and tilt do n
     placement=arguments.either(
         arguments.text, arguments.like("a Placement", "x", "y", "yaw"), arguments.array((4,))
     ),
-    grip_speed=arguments.number(1e-4, 10.0),
+    pace=arguments.optional(arguments.number(1e-4, 10.0)),
     rate=arguments.number(1.0, 1e4),
     limit_margin=arguments.number(0.0, 3.0),
     clearance=arguments.number(0.0, 1.0),
@@ -73,7 +74,7 @@ def solve_joint_path(
     grip_angle: float | str = "auto",
     table_height: float | None = None,
     obstacles=None,
-    grip_speed: float = 0.02,
+    pace: float | None = None,
     rate: float = 100.0,
     limit_margin: float = 0.02,
     clearance: float = 0.005,
@@ -99,7 +100,8 @@ def solve_joint_path(
             works. The gripper's roll about the rod is constant.
         table_height: from the robot's base [m], where the placement is "auto"; None tries a few.
         obstacles: `Obstacles` that the arm must keep clear of.
-        grip_speed: along the path [m/s], a turn of one radian counting as 5 cm.
+        pace: of the contact [m/s], as `wrod.pose_times` has it, slower where the arm's limits ask
+            for it (`JointPath.slowed`); None: that of the plan, or 0.02.
         rate: of the output [1/s].
         limit_margin: least distance from the joint limits [rad].
         clearance: least gap between links, table, pedestal and laid rod [m].
@@ -134,7 +136,8 @@ def solve_joint_path(
             math.inf if time_limit is None else clock.monotonic() + time_limit,
         )
         best = _solved(task, _places(task, fixed, table_height), angles, fixed)
-        path = _timed(arm, task.path, best, grip_speed, rate, clock.perf_counter() - started)
+        pace = pace or pace_of(trajectory) or USUAL_PACE
+        path = _timed(task, best, pace, rate, clock.perf_counter() - started)
         path = _with_job(path, task) if whole_job else path
         return path if obstacles is None else replace(path, obstacles=tuple(obstacles.shapes))
 
@@ -277,9 +280,12 @@ def _angles(grip_angle) -> tuple[float, ...]:
 
 
 def _timed(
-    arm: Robot, path: TravelledPath, solution: Solution, grip_speed, rate, seconds: float
+    task: ArmTask, solution: Solution, pace: float, rate: float, seconds: float
 ) -> JointPath:
-    timing = schedule(arm, solution.spline, path.travel[-1], grip_speed)
+    arm, path, arc = task.robot, task.path, task.trajectory.arc_length
+    timing = schedule(arm, Course.of_plan(solution.spline, path), pace)
+    passed = timing.time_of(path.travel)
+    most, slowly = laid_slowly(pose_times(task.trajectory, pace), passed, arc)
     time = np.arange(math.ceil(timing.duration * rate) + 1) / rate
     travel, speed = timing.travel(time)
     report, branch = solution.report, solution.branch
@@ -294,8 +300,9 @@ def _timed(
         "grip_roll": branch.grip.roll,
         "rate": rate,
         "duration": timing.duration,
-        "grip_speed": timing.speed,
-        "steady_speed": timing.steady_speed,
+        "pace": pace,
+        "steady_pace": pace / timing.stretched,
+        "slowed": {"most": most, "at": slowly},
         "position_error": report.position_error,
         "rotation_error": report.rotation_error,
         "limit_margin": report.limit_margin,
@@ -316,7 +323,7 @@ def _timed(
         positions=solution.spline(travel),
         velocities=solution.spline(travel, 1) * speed[:, None],
         arc_length=path.arc_length(travel),
-        node_time=timing.time_of(path.travel),
+        node_time=passed,
         node_positions=nodes,
         placement=place,
         grip=branch.grip,

@@ -4,13 +4,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wrod.planning.pace import TAIL_FASTER
 from wrod.planning.tail import with_tail
 from wrod.robot.attempt import ArmTask
 from wrod.robot.grip import TravelledPath
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import refine
 from wrod.robot.knots import COARSEST, joint_spline
-from wrod.robot.timing import schedule
+from wrod.robot.timing import Course, schedule
 
 FINGERS = 0.012  # [m] from the grasp point to the outside of the gripper's fingers
 _STEP = 0.02  # [m] of travel between the poses that are followed
@@ -79,15 +80,13 @@ def _followed(path: JointPath, task: ArmTask, begin: float, end: float) -> LaidT
     report = task.inspected(path.placement, check, spline(check), targets(check))
     if report.problem is not None:
         return None
-
-    def shifted(travel, order=0):
-        return spline(travel + begin, order)
-
-    timing = schedule(task.robot, shifted, end - begin, path.grip_speed)
+    first, last = task.path.arc_length(np.array([begin, end]))
+    course = Course.of_plan(spline, task.path, float(first), float(last))
+    timing = schedule(task.robot, course, TAIL_FASTER * path.pace)
     rate = path.rate
     time = np.arange(np.ceil(timing.duration * rate) + 1) / rate
     travel, speed = timing.travel(time)
-    laid = task.path.arc_length(travel + begin)
+    laid = task.path.arc_length(travel)
     nodes = task.trajectory.arc_length < laid[-1] + 1e-9
     cut = task.trajectory
     cut = replace(
@@ -99,8 +98,8 @@ def _followed(path: JointPath, task: ArmTask, begin: float, end: float) -> LaidT
         },
     )
     return LaidTail(
-        shifted(travel),
-        shifted(travel, 1) * speed[:, None],
+        spline(travel),
+        spline(travel, 1) * speed[:, None],
         laid,
         replace(task, trajectory=cut, path=TravelledPath(cut)),
     )

@@ -16,6 +16,7 @@ import numpy as np
 
 from wrod.errors import SceneError, needed_extras
 from wrod.files import write_text
+from wrod.planning.pace import pose_times
 from wrod.scene.page_parts import (
     ShownArm,
     add_holder,
@@ -63,7 +64,7 @@ def write_deployment_page(
         rod: `RodMaterial`, for its radius.
         shapes: (T, M, 3) centrelines of the rod [m]; by default from the trajectory.
         errors: (T, M) how far off its points lie [m], as colours; by default what is expected.
-        time: (T,) when each shape is reached [s]; by default the joint path's, else 2 cm/s.
+        time: (T,) when each shape is reached [s]; by default the joint path's, or the plan's.
         captions: lines above the table.
         falls: as in `wrod.export_usd`.
 
@@ -76,8 +77,7 @@ def write_deployment_page(
     if shapes is None:
         shapes, onward = rods_of(trajectory, joint_path, pattern, _ROD_POINTS)
     if time is None:
-        laid = trajectory.arc_length - trajectory.arc_length[0]
-        time = laid / 0.02 if joint_path is None else joint_path.node_time
+        time = pose_times(trajectory) if joint_path is None else joint_path.node_time
     at_nodes = len(time) == len(trajectory)
     if joint_path is not None and at_nodes and errors is None:
         falls = falls or falling(trajectory)
