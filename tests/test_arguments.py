@@ -513,7 +513,7 @@ CALLS = {
         dict(
             trials=[wrod.Trial(line(), vps(), path(), wrod.Friction(0.5))], hold=0.05,
             release=None, speed=0.2, discretisation=wrod.Discretisation(0.05, 0.05),
-            frame_interval=None, device="cpu", threads=None, progress=None,
+            frame_interval=None, device="cpu", threads=None, progress=None, beyond_grip=False,
         ),
     ),
     "pose_times": lambda: (wrod.pose_times, dict(trajectory=path(), speed=0.2)),
@@ -523,7 +523,8 @@ CALLS = {
         dict(
             rods=[rod_model()], arc_length=np.linspace(0, 0.885, 6),
             position=np.stack([np.linspace(0, 0.885, 6), np.zeros(6), np.zeros(6)], 1)[None],
-            clamped=(False, False), director=None, gravity=None, point_load=0.0, device="cpu",
+            clamped=(False, False), held=2, director=None, gravity=None, point_load=0.0,
+            device="cpu",
         ),
     ),
     "RodBatch.set_configuration": lambda: (

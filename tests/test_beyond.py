@@ -8,6 +8,8 @@ from scipy.integrate import solve_bvp
 from scipy.spatial.transform import Rotation
 
 import wrod
+from wrod.errors import RodError
+from wrod.patterns.shapes import straight, strokes, turn
 from wrod.planning.beyond import Beyond, longest_free
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.model_file import rod_as_json
@@ -72,6 +74,68 @@ def test_scenes_show_it():
     lengths = np.linalg.norm(np.diff(shapes[:, 49:], axis=1), axis=2).sum(axis=1)
     np.testing.assert_allclose(lengths, 0.09, rtol=0.03)
     assert rods_of(wrod.plan(pattern, ROD, spacing=0.02), None, pattern, 50)[0].shape[1] == 50
+
+
+@pytest.fixture(scope="module")
+def bend():
+    """An eased quarter turn that ends straight, and how it is laid."""
+    heading, _ = strokes(0.0, straight(0.06), turn(90.0, 0.05, 0.06), straight(0.03))
+    s = np.linspace(0.0, heading.x[-1], 400)
+    steps = np.diff(s) * np.exp(1j * heading(0.5 * (s[1:] + s[:-1])))
+    points = np.insert(np.cumsum(steps), 0, 0.0)
+    pattern = wrod.Pattern.from_points(np.column_stack([points.real, points.imag]))
+    how = dict(discretisation=wrod.Discretisation(0.004, 0.02), speed=0.03, threads=1)
+    return pattern, how
+
+
+def planned(pattern, length: float):
+    rod = wrod.RodMaterial(0.0016, 0.018, length)
+    return rod, wrod.plan(pattern, rod, method="numeric", spacing=0.01, left=4, device="cpu")
+
+
+def test_it_is_laid_with_the_rod_and_moves_nothing_that_lies(bend):
+    pattern, how = bend
+    rod, plan = planned(pattern, 0.34)
+    known, whole = (
+        wrod.simulate_deployment(pattern, rod, plan, 0.4, frame_interval=0.5, beyond_grip=b, **how)
+        for b in (False, True)
+    )
+    n = len(known.arc_length)
+    assert plan.beyond_grip > 0.03 and whole.arc_length[-1] == pytest.approx(rod.length)
+    assert np.array_equal(whole.arc_length[:n], known.arc_length)
+    # All that joins them is the tolerance of the steps, which both sides of the grip count for.
+    assert np.abs(whole.centerline[:n] - known.centerline).max() < 1e-8
+    assert whole.error_mean == pytest.approx(known.error_mean, abs=1e-9)
+    assert not whole.contact_force[n:].any()
+    still = Beyond.of(plan).shape[-1]
+    still += whole.centerline[n - 1] - still[0]
+    way = np.linspace(0.0, plan.beyond_grip, len(still))
+    hangs = np.column_stack([np.interp(whole.arc_length[n:] - known.arc_length[-1], way, c)
+                             for c in still.T])  # fmt: skip
+    assert np.abs(hangs - whole.centerline[n:]).max() < 1e-3  # the grip holds 0.4 mm straight
+
+
+def test_what_comes_down_lies_on_the_table_and_goes_on_when_the_grip_opens(bend):
+    pattern, how = bend
+    rod, plan = planned(pattern, 0.5)
+    whole = wrod.simulate_deployment(pattern, rod, plan, 0.4, beyond_grip=True, **how)
+    beyond = whole.arc_length > plan.rod.length
+    lies = beyond & whole.contact_force.any(axis=1)
+    assert Beyond.of(plan).touches[-1] and lies[-1] and not lies[beyond.argmax()]
+    # No edge is strained by more than by the weight of all that is beyond, E A = 8 w L_gb^3 / r^2.
+    strain = plan.beyond_grip * rod.radius**2 / (8.0 * rod.gravito_bending_length**3)
+    for shape in (whole.centerline, whole.released_centerline):
+        assert shape[:, 2].min() > -0.1 * rod.radius
+        lengths = np.linalg.norm(np.diff(shape, axis=0), axis=1)
+        np.testing.assert_allclose(lengths, np.diff(whole.arc_length), rtol=strain)
+    assert whole.released_centerline[:, 2].max() < rod.radius and whole.released_speed < 1e-2
+    # The table bears what the grip does not.
+    load = whole.contact_force[beyond, 2].sum() / (rod.weight * plan.beyond_grip)
+    assert 0.5 < load < 1.0
+    ends = replace(plan, beyond_grip=0.0)
+    trials = [wrod.Trial(pattern, one.rod, one, wrod.Friction(0.4)) for one in (plan, ends)]
+    with pytest.raises(RodError, match="lay them apart"):
+        wrod.simulate_deployments(trials, beyond_grip=True, **how)
 
 
 def test_where_it_runs_into_the_hand_is_said():

@@ -62,6 +62,14 @@ def test_a_plan_for_a_table_leaves_little_hanging_and_is_laid_so(tmp_path):
     figures = told("deploy", *args, *path, "--out", str(tmp_path / "laid"), "--json")
     assert figures["trials"][0]["error_mean"] < 2e-3
     assert figures["beyond_grip"] == near["beyond_grip"]
+    assert figures["trials"][0]["lies_beyond"] < 0.02  # it just comes down
+    whole = Deployment.load(tmp_path / "laid" / "deployment.npz")
+    assert whole.arc_length[-1] == pytest.approx(0.3)
+    cut = ["deploy", *args[:-3], "0.222", "--device", "cpu", *path]
+    figures = told(*cut, "--out", str(tmp_path / "cut"), "--json")
+    assert "lies_beyond" not in figures["trials"][0]
+    ends = Deployment.load(tmp_path / "cut" / "deployment.npz")
+    assert ends.arc_length[-1] == pytest.approx(0.222)
     assert near["beyond"]["met"] is None and 0.06 < near["beyond"]["off_the_table"] < 0.078
     assert 0.14 < near["beyond"]["on_the_table_from"] <= 0.15
     assert any("comes down to the table" in note for note in near["notes"])

@@ -39,6 +39,7 @@ def key_position(keys: wp.array2d(dtype=wp.vec3d), r: int, k: int, x: wp.float64
 def prescribe(
     # Model:
     interval: wp.float64,
+    e: int,
     position: wp.array2d(dtype=wp.vec3d),
     rotation: wp.array2d(dtype=wp.quatd),
     rest_length: wp.array2d(dtype=wp.float64),
@@ -56,10 +57,10 @@ def prescribe(
     free_out: wp.array2d(dtype=wp.int32),
     dof_out: wp.array2d(dtype=wp.float64),
 ):
-    """Hold the first nodes until `release_time` and carry the rod's end until `let_go_time`.
+    """Hold the first nodes until `release_time` and carry the edge `e` until `let_go_time`.
 
-    The last edge is a clamp's ghost: it begins where the rod ends, in the grip, and lies along the
-    grip's x axis, its first material director along the y axis.
+    It begins in the grip, where the rod or what is laid of it ends, and lies along the grip's x
+    axis, its first material director along the y axis.
     """
     r = wp.tid()
     if running[r] == 0:
@@ -69,9 +70,8 @@ def prescribe(
     # The edges between held nodes are clamped; the one after them turns.
     for a in range(4 * held_nodes[r] - 1):
         free_out[r, a] = 1 - held
-    n = rest_length.shape[1]
     carried = wp.where(now <= let_go_time[r], 1, 0)
-    for a in range(4 * n - 4, 4 * n + 3):
+    for a in range(4 * e, 4 * e + 7):
         free_out[r, a] = 1 - carried
     if carried == 0:
         return
@@ -82,11 +82,10 @@ def prescribe(
     tangent = wp.quat_rotate(turn, wp.vec3d(ONE, wp.float64(0.0), wp.float64(0.0)))
     side = wp.quat_rotate(turn, wp.vec3d(wp.float64(0.0), ONE, wp.float64(0.0)))
     end = key_position(position, r, k, x)
-    beyond = end + rest_length[r, n - 1] * tangent
-    e = n - 1
+    beyond = end + rest_length[r, e] * tangent
     dof_out[r, 4 * e + 3] = angle_towards(
         side, tangent, dof_before[r, 4 * e + 3], tangent_before[r, e], director_before[r, e]
     )
     for c in range(3):
         dof_out[r, 4 * e + c] = end[c]
-        dof_out[r, 4 * n + c] = beyond[c]
+        dof_out[r, 4 * (e + 1) + c] = beyond[c]

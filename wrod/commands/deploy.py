@@ -44,9 +44,11 @@ def command(
     Friction(laying.friction, laying.kinetic, laying.rolling)  # refused before it is planned
     file = laying.fixtures_file
     fixtures = None if file is None else Fixtures.load(file)
+    given = rod
     path, curve, rod = planned.path(curve, rod, device)
+    whole = given.length > rod.length
     laying.settle(path, device)
-    deployments = laying.lay(curve, rod, path, fixtures, device, planned.another_rod)
+    deployments = laying.lay(curve, rod, path, fixtures, device, planned.another_rod, whole)
     written = _write(out, laying, deployments, path, curve, rod, fixtures)
     placed = None
     if fixtures is not None:
@@ -63,7 +65,9 @@ def command(
             "rolling": laying.rolling,
         },
         "trials": [
-            _figures(d, None if placed is None else placed[k]) for k, d in enumerate(deployments)
+            _figures(d, None if placed is None else placed[k])
+            | ({"lies_beyond": _lying(d, rod)} if whole else {})
+            for k, d in enumerate(deployments)
         ],
         "written": [str(name) for name in written],
     }
@@ -75,10 +79,23 @@ def command(
             + f"{100 * d.error_mean:.3f} ± {100 * d.error_std:.3f} cm with the grip holding, "
             f"{100 * d.released_error_mean:.3f} ± {100 * d.released_error_std:.3f} cm let go; "
             f"largest slip {100 * d.slip.max():.2f} cm"
+            + (
+                f"; {_lying(d, rod):.3f} of {path.beyond_grip:.3f} m beyond the grip lie"
+                if whole
+                else ""
+            )
             + ("" if placed is None else f"; {placed[k]}")
             for k, d in enumerate(deployments)
         ),
     )
+
+
+def _lying(deployment, rod) -> float:
+    """How much of what is beyond the grip is on the table while that still holds [m]: from where
+    it first touches."""
+    s = deployment.arc_length
+    touched = (s > rod.length) & deployment.contact_force.any(axis=1)
+    return float(s[-1] - s[touched.argmax()]) if touched.any() else 0.0
 
 
 def _write(out: Path, laying: Laying, deployments: list, path, curve, rod, fixtures) -> list[Path]:

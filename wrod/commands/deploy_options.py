@@ -99,8 +99,8 @@ class Laying:
         remedy = "ask for fewer --trials or a larger --speed"
         cost.settle(work, f"{self.trials} deployments", remedy)
 
-    def lay(self, curve, rod, path, fixtures, device: str, another_rod: bool) -> list:
-        """The deployments, one for each trial."""
+    def lay(self, curve, rod, path, fixtures, device: str, another_rod: bool, whole: bool) -> list:
+        """The deployments, one for each trial, of the `whole` rod or of it as far as the grip."""
         from wrod.deployment.setup import Disturbance
         from wrod.deployment.simulate import Trial, simulate_deployments
         from wrod.planning.tail import tail
@@ -129,5 +129,6 @@ class Laying:
                 release=self.release,
                 frame_interval=self.interval,
                 device=device,
+                beyond_grip=whole,
                 progress=lambda fraction: bar.update(min(100 * fraction, bar.total - bar.n)),
             )

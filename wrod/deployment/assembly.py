@@ -1,6 +1,7 @@
 """From trials of deployments to batches of rods, tables and steps."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -48,12 +49,13 @@ def assemble(
     """The rods of prepared trials, what they touch, and what steps them; see
     `simulate_deployments`.
 
-    Every rod has one node more than its setup: in the grip it goes on for a ghost edge with the
-    grip's direction, massless and touched by nothing, so that what it is bent to at the grip is
-    felt to second order in its edges.
+    Every rod that ends in its grip has one node more than its setup: there it goes on for a ghost
+    edge with the grip's direction, massless and touched by nothing, so that what it is bent to at
+    the grip is felt to second order in its edges.
     """
     models = {id(rod): RodModel.of(rod) for rod in {id(t.rod): t.rod for t in trials}.values()}
     batch, rods = _batch(trials, models, setups, device)
+    ghosts = batch.node_count - len(setups[0].arc_length)
     sided = {key: model.has_sides for key, model in models.items()}
     radius, table = np.array([rod.radius for rod in rods]), [Plane()]
     load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
@@ -65,7 +67,7 @@ def assemble(
         [table if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
         keeps_roll=np.array([sided[id(t.rod)] or t.trajectory.spin != 0.0 for t in trials]),
         friction_field=friction_field,
-        passive=np.arange(batch.node_count) == np.full((len(rods), 1), batch.node_count - 1),
+        passive=np.arange(batch.node_count) >= np.full((len(rods), 1), batch.node_count - ghosts),
     )
     dynamics = Dynamics(
         batch,
@@ -85,7 +87,7 @@ def assemble(
         dynamics.shrinks = _SHRINKS
     drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
     if drag is not None:
-        dynamics.set_drag(np.pad(drag, ((0, 0), (0, 1), (0, 0))))
+        dynamics.set_drag(np.pad(drag, ((0, 0), (0, ghosts), (0, 0))))
     return batch, contact, dynamics
 
 
@@ -125,23 +127,31 @@ def _batch(trials, models, setups, device) -> tuple[RodBatch, list[RodModel]]:
     described in the directors of the laid rod, the first to its left, the second above it."""
     held: list[RodModel] = []
     known: dict[tuple, RodModel] = {}  # plans are compared by the same rods
-    for trial in trials:
-        roll, bent = trial.trajectory.roll, trial.disturbance
-        key = id(trial.rod), roll, bent.lgb_error, bent.natural_curvature
+    for trial, setup in zip(trials, setups, strict=True):
+        roll, bent, length = trial.trajectory.roll, trial.disturbance, float(setup.arc_length[-1])
+        key = id(trial.rod), roll, bent.lgb_error, bent.natural_curvature, length
         if key not in known:
-            rod = models[id(trial.rod)].stiffened((1.0 + bent.lgb_error) ** 3)
+            rod = models[id(trial.rod)]
+            if setup.schedule.held_edge is not None:
+                rod = replace(rod, length=length)
+            rod = rod.stiffened((1.0 + bent.lgb_error) ** 3)
             known[key] = rod.turned(roll).bent(bent.natural_curvature)
         held.append(known[key])
     arc, position = (np.stack([getattr(s, n) for s in setups]) for n in ("arc_length", "position"))
-    ghost = arc[:, 1:2] - arc[:, :1]
-    along = Rotation.from_quat([setup.schedule.rotation[0] for setup in setups]).apply([1, 0, 0])
-    arc = np.concatenate([arc, arc[:, -1:] + ghost], axis=1)
-    position = np.concatenate([position, position[:, -1:] + (ghost * along)[:, None]], axis=1)
+    inner = edge = setups[0].schedule.held_edge
+    if edge is None:
+        edge, ghost = arc.shape[1] - 1, arc[:, 1:2] - arc[:, :1]
+        turns = Rotation.from_quat([setup.schedule.rotation[0] for setup in setups])
+        beyond = position[:, -1:] + (ghost * turns.apply([1, 0, 0]))[:, None]
+        arc = np.concatenate([arc, arc[:, -1:] + ghost], axis=1)
+        position = np.concatenate([position, beyond], axis=1)
     director = np.stack([setup.director for setup in setups])
     director = directors_at_rest(held, arc, position, director)
     batch = RodBatch.of(
-        held, arc, position, clamped=(False, True), director=director, device=device
-    )
+        held, arc, position, clamped=(False, inner is None), held=inner, director=director,
+        device=device,
+    )  # fmt: skip
     # The grip holds the rods from the first step on.
-    batch.set_free(np.arange(batch.dof_count) < batch.dof_count - 7)
+    dof = np.arange(batch.dof_count)
+    batch.set_free((dof < 4 * edge) | (dof >= 4 * edge + 7))
     return batch, held

@@ -32,6 +32,7 @@ class GripSchedule:
         rotation: (key, 4) quaternions xyzw, neighbours in one hemisphere.
         held_nodes: how many first nodes stand still until `release_time` [s].
         let_go_time: when the grip opens [s].
+        held_edge: that the grip carries; None: the ghost beyond the rod's end.
     """
 
     position: np.ndarray
@@ -39,6 +40,7 @@ class GripSchedule:
     held_nodes: int
     release_time: float
     let_go_time: float
+    held_edge: int | None = None
 
     def poses(self, time: np.ndarray) -> np.ndarray:
         """(n, 4, 4) poses at times (n,) [s], at rest after the last key [m]."""
@@ -50,7 +52,7 @@ class GripSchedule:
 
 
 class GripMotion:
-    """Carries the ends of a batch's rods by ghost edges beyond them (a
+    """Carries a batch's rods by an edge each, of all the same or the ghosts beyond their ends (a
     `wrod.solvers.steps.Motion`).
 
     Args:
@@ -84,13 +86,15 @@ class GripMotion:
         held = [s.held_nodes for s in schedules]
         self.held_nodes = wp.array(held, dtype=wp.int32, device=device)
         self.release_time, self.let_go_time = floats("release_time"), floats("let_go_time")
+        edge = schedules[0].held_edge
+        self.edge = batch.node_count - 2 if edge is None else edge
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
         batch = self.batch
         batch.launch(
             kernels.prescribe,
             batch.rod_count,
-            [wp.float64(KEY_INTERVAL), self.position, self.rotation, batch.rest_length]
+            [wp.float64(KEY_INTERVAL), self.edge, self.position, self.rotation, batch.rest_length]
             + [self.held_nodes, self.release_time, self.let_go_time, running, time, step]
             + [start.dof, start.tangent, start.director],
             [batch.free, batch.state.dof],

@@ -8,6 +8,7 @@ import warp as wp
 
 from wrod import arguments
 from wrod.deployment.assembly import assemble
+from wrod.deployment.beyond import edges_beyond, hung_beyond
 from wrod.deployment.bounds import (
     check_pace,
     refuse_another_pattern,
@@ -100,6 +101,7 @@ def simulate_deployment(
     frame_interval=arguments.optional(arguments.number(1e-5, 1e6)),
     threads=arguments.optional(arguments.whole(0, 4096)),
     friction_field=arguments.optional(arguments.like("a wrod.FrictionField", "factor", "x", "y")),
+    beyond_grip=arguments.flag,
 )
 def simulate_deployments(
     trials: list[Trial],
@@ -112,6 +114,7 @@ def simulate_deployments(
     device: str | None = "cpu",
     threads: int | None = None,
     friction_field: FrictionField | None = None,
+    beyond_grip: bool = False,
     progress: Callable[[float], object] | None = None,
 ) -> list[Deployment]:
     """Simulate many deployments at once; those that diverge are flagged and the others go on.
@@ -131,6 +134,8 @@ def simulate_deployments(
         device: "cpu", "cuda:0", "auto".
         threads: CPU threads; default: one per core, but no more than OMP_NUM_THREADS says.
         friction_field: how the table's friction varies over x and y; default: it does not.
+        beyond_grip: lay the whole rods, what hangs beyond the grip with them (of trajectories with
+            `beyond_grip`, together): it touches the table, not the rod that lies there.
         progress: called with the fraction done since the last call, of all trials.
     """
     hold, release = float(hold), float(hold if release is None else release)
@@ -143,7 +148,7 @@ def simulate_deployments(
     for trial in plans.values():
         refuse_other_plans(trial)
     compile_steps(device, "grip")
-    setups = prepare_trials(trials, hold, release, speed, discretisation)
+    setups = prepare_trials(trials, hold, release, speed, discretisation, beyond_grip)
     options: dict[str, Any] = dict(
         device=device, friction_field=friction_field, keeps_recording=device == "cpu"
     )
@@ -193,6 +198,7 @@ def prepare_trials(
     release: float | Sequence[float | None] | None,
     speed: float,
     discretisation: Discretisation,
+    beyond_grip: bool = False,
 ) -> list[Setup]:
     """All rods of a batch share one number of nodes: the largest that the spacing asks for.
 
@@ -202,6 +208,7 @@ def prepare_trials(
     each = release if isinstance(release, Sequence) else [release] * len(trials)
     spacing, laid = discretisation.spacing, discretisation.laid
     count = discretisation.node_count or nodes_needed(trials, spacing, laid)
+    beyond = edges_beyond(trials, spacing) if beyond_grip else 0
     undisturbed: dict[tuple, Setup] = {}
     setups = []
     for trial, released in zip(trials, each, strict=True):
@@ -219,6 +226,10 @@ def prepare_trials(
                 release=hold if released is None else released,
                 speed=speed,
             )
+            if beyond:
+                undisturbed[key] = hung_beyond(
+                    undisturbed[key], trial.rod, trial.trajectory, beyond
+                )
         setups.append(disturb(undisturbed[key], trial.disturbance))
     return setups
 
@@ -235,8 +246,8 @@ def _simulate(
     ends = np.array([setup.end_time for setup in setups])
     frames = None
     if frame_interval is not None:
-        count = int(np.floor(ends.max() / frame_interval + 1e-9)) + 1
-        first = np.zeros((len(trials), count, batch.dof_count))
+        number = int(np.floor(ends.max() / frame_interval + 1e-9)) + 1
+        first = np.zeros((len(trials), number, batch.dof_count))
         first[:, 0] = batch.state.dof.numpy()
         frames = wp.array(first, dtype=wp.float64, device=batch.device)
     done = 0.0
@@ -260,10 +271,12 @@ def _simulate(
         frames=frames, frame_interval=frame_interval or 1.0, progress=note, then=measure,
     )  # fmt: skip
     note(ends)
-    # The last nodes are the ghosts of the grips.
-    laid, force, slip = (a[:, :-1] for a in (node_positions(read(held)), read(force), read(slip)))
-    released, film = batch.positions()[:, :-1], None if frames is None else frames.numpy()
-    speed = np.linalg.norm(dynamics.velocities()[:, :-1], axis=2).max(axis=1)
+    count = len(setups[0].arc_length)  # the last nodes may be the ghosts of the grips
+    laid, force, slip = (
+        a[:, :count] for a in (node_positions(read(held)), read(force), read(slip))
+    )
+    released, film = batch.positions()[:, :count], None if frames is None else frames.numpy()
+    speed = np.linalg.norm(dynamics.velocities()[:, :count], axis=2).max(axis=1)
     penetration = contact.penetration()
     deployments = []
     for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
@@ -272,9 +285,9 @@ def _simulate(
         now, later = laid[k] - sink, released[k] - sink
         pictures = hand = None
         if film is not None:
-            count = int(np.floor(end.time[k] / frame_interval + 1e-9)) + 1
-            pictures = node_positions(film[k, :count])[:, :-1] - sink
-            hand = setup.schedule.poses(frame_interval * np.arange(count))
+            number = int(np.floor(end.time[k] / frame_interval + 1e-9)) + 1
+            pictures = node_positions(film[k, :number])[:, :count] - sink
+            hand = setup.schedule.poses(frame_interval * np.arange(number))
             hand[:, :3, 3] -= sink
         deployments.append(
             Deployment(

@@ -46,24 +46,14 @@ class Beyond:
         if rod is None or not beyond:
             return None
         nodes = np.unique(np.linspace(0, len(trajectory) - 1, poses).astype(int))
-        turns, lgb = trajectory.rotation[nodes], rod.gravito_bending_length
-        edges = int(np.clip(np.ceil(_EDGES * beyond / lgb), _FEWEST, _MOST))
+        edges = int(np.clip(np.ceil(_EDGES * beyond / rod.gravito_bending_length), _FEWEST, _MOST))
         s = beyond / edges * np.arange(-1, edges + 1)
-        roll = trajectory.roll
-        batch = RodBatch.of(
-            replace(rod, length=rod.length + beyond),
-            np.tile(rod.length + s, (len(nodes), 1)),
-            _turning_down(trajectory.position[nodes], turns[:, :, 0], s, lgb),
-            clamped=(True, False),
-            director=turns @ [0.0, np.cos(roll), np.sin(roll)],
-        )
-        prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
-        found = EquilibriumSolver(batch).solve(ramp_loads=True)
-        if not found.converged.all():
+        pose = trajectory.position[nodes], trajectory.rotation[nodes]
+        shape = hanging(rod, s, *pose, trajectory.roll)
+        if shape is None:
             return None
-        shape = batch.positions()[:, 1:]
         laid = trajectory.arc_length[nodes]
-        return cls(nodes, laid, shape, trajectory.contact, rod.radius)
+        return cls(nodes, laid, shape[:, 1:], trajectory.contact, rod.radius)
 
     @property
     def touches(self) -> np.ndarray:
@@ -84,17 +74,47 @@ class Beyond:
     @property
     def drawn(self) -> np.ndarray:
         """(K, M, 3) shapes of which nothing is below the table [m]: it lies on it, straight on."""
-        shapes = self.shape.copy()
-        lengths = np.linalg.norm(np.diff(shapes, axis=1), axis=2)
-        for pose in np.flatnonzero(self.touches):
-            shape, steps = shapes[pose], lengths[pose]
-            k = max(int(np.argmax(shape[:, 2] < 0.0)), 1)
-            ahead = shape[k, :2] - shape[0, :2]
-            apart = float(np.linalg.norm(ahead))
-            ahead = ahead / apart if apart > 1e-9 else np.array([1.0, 0.0])
-            shape[k:, :2] = shape[k - 1, :2] + np.cumsum(steps[k - 1 :])[:, None] * ahead
-            shape[k:, 2] = 0.0
-        return shapes
+        return np.stack([off_the_table(shape) for shape in self.shape])
+
+
+def hanging(
+    rod, s: np.ndarray, position: np.ndarray, rotation: np.ndarray, roll: float
+) -> np.ndarray | None:
+    """What hangs beyond grips, at rest and free.
+
+    Args:
+        rod: as long as to the grip [m].
+        s: (M,) how far from the grip nodes are [m]; the grip holds the edge between the first two.
+        position, rotation: (K, 3), (K, 3, 3) of the grips [m]; roll: of the rod in them [rad].
+
+    Returns:
+        (K, M, 3) nodes [m]; None where no equilibrium was found.
+    """
+    batch = RodBatch.of(
+        replace(rod, length=rod.length + s[-1]),
+        np.tile(rod.length + s, (len(position), 1)),
+        _turning_down(position, rotation[:, :, 0], s, rod.gravito_bending_length),
+        clamped=(True, False),
+        director=rotation @ [0.0, np.cos(roll), np.sin(roll)],
+    )
+    prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
+    found = EquilibriumSolver(batch).solve(ramp_loads=True)
+    return batch.positions() if found.converged.all() else None
+
+
+def off_the_table(shape: np.ndarray) -> np.ndarray:
+    """A shape (M, 3) that hangs from its first point, of which nothing is below the table [m]: from
+    there it lies on it, straight on."""
+    shape, low = shape.copy(), shape[:, 2] < 0.0
+    if low.any():
+        steps = np.linalg.norm(np.diff(shape, axis=0), axis=1)
+        k = max(int(np.argmax(low)), 1)
+        ahead = shape[k, :2] - shape[0, :2]
+        apart = float(np.linalg.norm(ahead))
+        ahead = ahead / apart if apart > 1e-9 else np.array([1.0, 0.0])
+        shape[k:, :2] = shape[k - 1, :2] + np.cumsum(steps[k - 1 :])[:, None] * ahead
+        shape[k:, 2] = 0.0
+    return shape
 
 
 def longest_free(trajectory: Trajectory) -> float:
@@ -116,9 +136,10 @@ def _turning_down(
     angle = np.arccos(np.clip(tangent @ down, -1.0, 1.0))
     aside = tangent - (tangent @ down)[:, None] * down
     aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
-    middle = np.maximum(0.5 * (s[1:] + s[:-1]), 0.0)
+    middle = np.maximum(0.5 * (s[1:] + s[:-1]) - s[1], 0.0)
     left = angle[:, None] * np.exp(-middle / (_TURNS * lgb))
     way = np.cos(left)[..., None] * down + np.sin(left)[..., None] * aside[:, None]
     steps = np.concatenate([np.zeros((len(way), 1, 3)), np.diff(s)[:, None] * way], axis=1)
     path = np.cumsum(steps, axis=1)
-    return position[:, None] + path - path[:, 1:2]
+    held = int(np.argmax(s >= 0.0))
+    return position[:, None] + path - path[:, held, None]

@@ -129,6 +129,7 @@ class RodBatch(BatchArrays):
         arc_length=arguments.array((None,), (None, None)),
         position=arguments.array((None, None, 3)),
         clamped=arguments.several(arguments.flag, least=2),
+        held=arguments.optional(arguments.whole(0)),
         director=arguments.optional(arguments.array((3,), (None, 3), (None, None, 3))),
         gravity=arguments.optional(arguments.array((3,), (None, 3))),
     )
@@ -139,6 +140,7 @@ class RodBatch(BatchArrays):
         position: np.ndarray,
         *,
         clamped: tuple[bool, bool] = (False, False),
+        held: int | None = None,
         director=None,
         gravity=None,
         point_load=0.0,
@@ -154,6 +156,8 @@ class RodBatch(BatchArrays):
             position: (rod, node, 3) of the nodes [m].
             clamped: whether the (first, last) edge is the ghost of a clamp: the rod begins at the
                 second node, and the edge before has the clamp's direction.
+            held: edge between others that a clamp holds: on both sides of it rods bend as if they
+                ended there, and so stiffly once it opens.
             director: (3,), (rod, 3) or (rod, node - 1, 3) first material director m_1 of the first
                 edge or of every edge. The batch's directors are the principal directions of the
                 sections, turned from m_1 by the rods' principal angle.
@@ -168,7 +172,7 @@ class RodBatch(BatchArrays):
         position = np.asarray(position, dtype=np.float64)
         if position.ndim != 3 or position.shape[2] != 3:
             raise RodError(f"rod positions have shape {position.shape}; give (rod, node, 3)")
-        arrays = mesh_arrays(rods, arc_length, clamped=clamped)
+        arrays = mesh_arrays(rods, arc_length, clamped=clamped, held=held)
         if gravity is not None:
             arrays["gravity"] = gravity
         if director is not None:

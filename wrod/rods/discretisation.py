@@ -71,6 +71,7 @@ def mesh_arrays(
     arc_length: np.ndarray,
     *,
     clamped: tuple[bool, bool] = (False, False),
+    held: int | None = None,
 ) -> dict[str, np.ndarray]:
     """Rods on meshes, as the arguments of `RodBatch`, in the principal directions of each section.
 
@@ -79,6 +80,7 @@ def mesh_arrays(
         arc_length: (rod, node) or (node,) unstretched arc length of the nodes, ascending [m]. It
             need not cover the rod. Ghost nodes are included, at any distance.
         clamped: whether (first, last) edges are ghosts.
+        held: edge that is clamped, on both sides of which rods bend as if they ended there.
 
     Returns:
         rest_length, stretching_stiffness (rod, node - 1); twisting_stiffness, natural_twist,
@@ -86,25 +88,28 @@ def mesh_arrays(
         inelastic (rod, node, 4); gravity (rod, 3), downwards.
 
     Raises:
-        RodError: there are not as many rods as meshes, or the nodes do not ascend.
+        RodError: there are not as many rods as meshes, the nodes do not ascend, or `held` is not
+            between edges.
     """
     models = models_of(rods)
     s = np.atleast_2d(np.asarray(arc_length, dtype=np.float64))
     if s.ndim != 2 or s.shape[1] < 3:
         raise RodError(f"arc_length has shape {s.shape}; give (rod, node) with 3 nodes or more")
+    if held is not None and not 0 < held < s.shape[1] - 2:
+        raise RodError(f"held is {held}; give an edge between others, 1 to {s.shape[1] - 3}")
     count = max(len(models), len(s))
     if {len(models), len(s)} - {1, count}:
         raise RodError(f"{len(models)} rods and {len(s)} meshes; give one each, or one for all")
     if not (np.diff(s, axis=1) > 0.0).all():
         raise RodError("arc_length does not ascend along every rod")
     if len(models) == 1:
-        parts = [_on_mesh(models[0], s, clamped)]
+        parts = [_on_mesh(models[0], s, clamped, held)]
     else:
         s = np.broadcast_to(s, (count, s.shape[1]))
         rows: dict[int, list[int]] = {}
         for row, model in enumerate(models):
             rows.setdefault(id(model), []).append(row)
-        parts = [_on_mesh(models[r[0]], s[r], clamped) for r in rows.values()]
+        parts = [_on_mesh(models[r[0]], s[r], clamped, held) for r in rows.values()]
         order = np.argsort(np.concatenate([*rows.values()]), kind="stable")
         return {k: np.concatenate([p[k] for p in parts])[order] for k in parts[0]}
     return parts[0]
@@ -138,7 +143,9 @@ def quadratic_drag(rods: Rod | Sequence[Rod], arc_length: np.ndarray) -> np.ndar
     return (drag[:, None] * cells(edge))[..., None] * [0.0, 1.0]
 
 
-def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict[str, np.ndarray]:
+def _on_mesh(
+    model: RodModel, s: np.ndarray, clamped: tuple[bool, bool], held: int | None
+) -> dict[str, np.ndarray]:
     rods, nodes = s.shape
     middle = 0.5 * (s[:, 1:] + s[:, :-1])
     low = np.concatenate([s[:, :1], middle], axis=1)
@@ -156,6 +163,11 @@ def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict
         if is_clamped:
             share[:, node] = (high[:, node] - low[:, node]) / around[:, node]
             mass_share[:, ghost] = False
+    mass = np.where(mass_share, model.line_mass.mean(low, high) * (high - low), 0.0)
+    if held is not None:
+        high[:, held], low[:, held + 1] = s[:, held], s[:, held + 1]
+        pair = slice(held, held + 2)
+        share[:, pair] = ((high - low) / around)[:, pair]
 
     def mean(profile):
         return profile.mean(low, high)
@@ -165,7 +177,6 @@ def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict
     if isinstance(model.law, Softening):
         softening[:] = model.law.softening
     inelastic[:] = model.law.inelastic
-    mass = np.where(mass_share, model.line_mass.mean(low, high) * (high - low), 0.0)
     for place, extra in model.point_masses:
         _hang(mass, s, place, extra, clamped)
     gravity = np.zeros((rods, 3))
