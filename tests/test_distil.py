@@ -187,6 +187,7 @@ def test_a_distilled_plan_bends_further_where_it_slides_and_refuses_what_it_does
     moved = np.linalg.norm(one.position - base.position, axis=1)
     said = one.metadata["distilled"]
     assert 1e-3 < moved.max() < 2.0 * rod.gravito_bending_length
+    assert wrod.pose_times(one) == pytest.approx(wrod.pose_times(one, 0.04))
     assert said["friction"] == pytest.approx(0.3) and one.rotation == pytest.approx(base.rotation)
     with pytest.raises(wrod.errors.GraspError, match="say its friction"):
         wrod.plan(pattern, rod, "distilled")

@@ -80,7 +80,8 @@ def command(
             f"{100 * d.released_error_mean:.3f} ± {100 * d.released_error_std:.3f} cm let go; "
             f"largest slip {100 * d.slip.max():.2f} cm"
             + (
-                f"; {_lying(d, rod):.3f} of {path.beyond_grip:.3f} m beyond the grip lie"
+                f"; of {path.beyond_grip:.3f} m beyond the grip {_lying(d, rod):.3f} m are on the "
+                "table"
                 if whole
                 else ""
             )

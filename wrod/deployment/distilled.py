@@ -6,6 +6,7 @@ import numpy as np
 
 from wrod.controller.corrector import Corrector, CorrectorInputs
 from wrod.deployment.corrections import Corrections
+from wrod.deployment.expectation import PACE
 from wrod.errors import GraspError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
@@ -31,8 +32,8 @@ def distilled(
         friction: coefficient of the table [-].
 
     Returns:
-        The corrected trajectory. `metadata["distilled"]` says the friction and the largest
-        correction [m].
+        The corrected trajectory. `metadata["distilled"]` says the friction, the largest correction
+        [m], and the pace of the plans that the network learnt from [m/s].
 
     Raises:
         GraspError: the rod is none that the network knows.
@@ -52,7 +53,7 @@ def distilled(
     )
     corrected = corrections.apply(values)
     largest = float(np.abs(corrections.displacement(values)).max())
-    said = {"friction": friction, "largest_correction": largest}
+    said = {"friction": friction, "largest_correction": largest, "pace": PACE}
     return replace(corrected, metadata={**corrected.metadata, "distilled": said})
 
 

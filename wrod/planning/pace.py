@@ -73,10 +73,16 @@ class GripPath:
 def pace_of(trajectory: Trajectory) -> float | None:
     """Pace of the contact that a plan was corrected for [m/s]; None: it was not, or its file holds
     none that could be."""
-    said = trajectory.optimised
-    pace = said.get("pace") if isinstance(said, dict) else None
+    pace = _said(trajectory)
     usable = isinstance(pace, int | float) and SLOWEST <= pace <= FASTEST
     return float(pace) if usable else None
+
+
+def _said(trajectory: Trajectory):
+    """What a plan's file has for the pace that it was corrected for, by itself or by a network that
+    learnt from such."""
+    said = trajectory.optimised or trajectory.metadata.get("distilled")
+    return said.get("pace") if isinstance(said, dict) else None
 
 
 @arguments.checked(
@@ -108,7 +114,8 @@ def pose_times(trajectory: Trajectory, speed: float | None = None) -> np.ndarray
         raise DataError("pose_times: a pose of the trajectory lays no more than the one before")
     laid = trajectory.arc_length
     path = GripPath(laid, trajectory.position, trajectory.rotation)
-    pace = (trajectory.optimised or {}).get("pace", USUAL_PACE) if speed is None else speed
+    own = _said(trajectory)
+    pace = speed if speed is not None else USUAL_PACE if own is None else own
     if said := arguments.wrong(PACES, pace):
         raise DataError(f"pose_times: metadata: optimised: pace {said}")
     duration, laid_at = path.timed(pace)
