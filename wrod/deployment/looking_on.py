@@ -81,10 +81,11 @@ class Look:
 class FeedbackLoop:
     """A deployment that is looked at on the way: where the grip goes next, and what is believed.
 
-    The grip goes through `ahead` at 0.04 m/s and stands; `observe` is told what a camera sees then,
-    in the pattern's frame. The free end is held down during the first stretch; after the first look
-    all is begun anew, so that `ahead` begins where the held end is to be put down, and it is let go
-    once `hold` is laid. Where `ahead` leads back, the grip lifts what it has laid.
+    The grip goes through `ahead`, at each pose when `wrod.pose_times(ahead, 0.04)` has it, and
+    stands; `observe` is told what a camera sees then, in the pattern's frame. The free end is held
+    down during the first stretch; after the first look all is begun anew, so that `ahead` begins
+    where the held end is to be put down, and it is let go once `hold` is laid. Where `ahead` leads
+    back, the grip lifts what it has laid.
 
     Args:
         pattern: that is laid.
