@@ -138,7 +138,7 @@ def test_what_comes_down_lies_on_the_table_and_goes_on_when_the_grip_opens(bend)
         wrod.simulate_deployments(trials, beyond_grip=True, **how)
 
 
-def test_where_it_runs_into_the_hand_is_said():
+def test_where_it_runs_into_the_hand_is_said_and_another_hold_taken(monkeypatch):
     """Straight along the fingers, which hold it: into the palm, a sphere of 5 cm, 12 cm away."""
     from wrod.robot.beyond import met_beyond
 
@@ -154,3 +154,9 @@ def test_where_it_runs_into_the_hand_is_said():
     assert met.free == pytest.approx(0.12 - 0.05 - ROD.radius - 0.005, abs=0.003)
     short = Beyond(nodes, plan.arc_length, straight[:, :25], plan.contact, ROD.radius)
     assert met_beyond(path, short) is None
+    # A hand that need not hold it so keeps clear of it.
+    from wrod.robot.attempt import ArmTask
+
+    monkeypatch.setattr(ArmTask, "_beyond", stiff)
+    turned = wrod.solve_joint_path(plan, "sawyer")
+    assert turned.grip.angle > 0.5 and met_beyond(turned, stiff) is None

@@ -3,11 +3,14 @@
 import math
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from wrod.planning.beyond import Beyond
 from wrod.planning.trajectory import Trajectory
+from wrod.robot.beyond import met_at
 from wrod.robot.collision import CollisionModel
 from wrod.robot.grip import Grip, TravelledPath, grasp_targets
 from wrod.robot.knots import COARSEST, joint_spline
@@ -63,6 +66,19 @@ class ArmTask:
         self._hanging = hanging_rod(self.trajectory)
         count = max(24, math.ceil(self.path.travel[-1] / _COARSE))
         self.travel = np.linspace(0.0, self.path.travel[-1], count)
+
+    @cached_property
+    def _beyond(self) -> Beyond | None:
+        return Beyond.of(self.trajectory)
+
+    def room_beyond(self, solution: Solution) -> float:
+        """Length from the grip at which what hangs beyond it first meets a link; infinite where it
+        meets none [m]."""
+        if self._beyond is None:
+            return math.inf
+        positions, place = solution.spline(self.path.travel), solution.branch.placement
+        met = met_at(self.model, positions, place, self._beyond, self.clearance)
+        return math.inf if met is None else met.free
 
     def is_over(self) -> bool:
         return time.monotonic() > self.until

@@ -7,6 +7,7 @@ import numpy as np
 from wrod.planning.beyond import Beyond
 from wrod.robot.collision import CollisionModel, segment_distance
 from wrod.robot.joint_path import JointPath
+from wrod.robot.placement import Placement
 
 
 @dataclass(frozen=True)
@@ -22,13 +23,24 @@ class Met:
 def met_beyond(path: JointPath, beyond: Beyond, clearance: float = 0.005) -> Met | None:
     """Where capsules around the arm's links come nearer than `clearance` [m] to what hangs beyond
     the grip, as capsules; those that hold it left out. None where none does."""
+    model = CollisionModel(path.robot)
+    return met_at(model, path.node_positions, path.placement, beyond, clearance)
+
+
+def met_at(
+    model: CollisionModel,
+    positions: np.ndarray,
+    placement: Placement,
+    beyond: Beyond,
+    clearance: float,
+) -> Met | None:
+    """`met_beyond` of joint positions (T, n) [rad] at the trajectory's nodes."""
     import torch
 
-    model, robot = CollisionModel(path.robot), path.robot
     with torch.no_grad():
-        positions = torch.from_numpy(path.node_positions[beyond.nodes])
-        start, end = model.points(robot.chain.forward_kinematics_tensor(positions))
-        base = path.placement.base_from_world
+        q = torch.from_numpy(positions[beyond.nodes])
+        start, end = model.points(model.robot.chain.forward_kinematics_tensor(q))
+        base = placement.base_from_world
         rod = torch.from_numpy(beyond.shape @ base[:3, :3].T + base[:3, 3])
         gap = segment_distance(
             start[:, :, None], end[:, :, None], rod[:, None, :-1], rod[:, None, 1:]

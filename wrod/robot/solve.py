@@ -88,8 +88,8 @@ def solve_joint_path(
 
     Args:
         trajectory: grip poses [m]; the laid rod is as thick as its `rod`, or 4 mm in radius where
-            it does not say. What hangs beyond the grip is not avoided: where the arm may meet it
-            says `wrod.robot.beyond.met_beyond`.
+            it does not say. What hangs beyond the grip is kept clear of if a grip angle does that:
+            where the arm may meet it all the same says `wrod.robot.beyond.met_beyond`.
         robot: "sawyer", a URDF file, or a `Robot` of `wrod.load_robot`, which is asked for another
             flange, gripper or limits.
         placement: "auto", or the pose of the trajectory's frame in the robot's base: a
@@ -186,35 +186,41 @@ def _with_job(path: JointPath, task: ArmTask) -> JointPath:
 
 
 def attempt(task: ArmTask, places: list[Placement], angles, fixed: bool) -> Solution:
-    """The first grip angle with a feasible path; else the best found near the best branches, as far
-    as the task's time goes."""
+    """The first grip angle with a feasible path that keeps clear of what hangs beyond the grip, or
+    of the feasible ones that which meets it last; else the best found near the best branches, as
+    far as the task's time goes."""
     best: Solution | None = None
     promising: list[Branch] = []
     seeds = 12 if len(places) > 1 else 40
     for angle in angles:
         branches = task.branches(places, angle, seeds)
-        best = _better(best, task.best(branches))
-        if best.report.problem is None:
+        best = _better(task, best, task.best(branches))
+        if best.report.problem is None and task.room_beyond(best) == math.inf:
             return best
         promising += branches[:_REFINED]
         if min(branch.miss.max() for branch in branches) > _LOST:
             return best  # no turn of the gripper makes up for that
+    if best.report.problem is None:
+        return best
     turned, room = turning(task)
     if turned > room + FAR or low_end(task.trajectory, task.clearance) is not None:
         return best
     for branch, improved in _others(task, sorted(promising, key=task.cost), fixed):
-        best = _better(best, task.finish(branch, improved))
+        best = _better(task, best, task.finish(branch, improved))
         if best.report.problem is None or task.is_over():
             return best
     for seed in range(_DEEPER):
-        best = _better(best, task.finish(task.nearby(best.branch, fixed, seed, _ROUNDS)))
+        best = _better(task, best, task.finish(task.nearby(best.branch, fixed, seed, _ROUNDS)))
         if best.report.problem is None or task.is_over():
             break
     return best
 
 
-def _better(best: Solution | None, found: Solution) -> Solution:
-    return found if best is None or found.report.shortfall < best.report.shortfall else best
+def _better(task: ArmTask, best: Solution | None, found: Solution) -> Solution:
+    if best is None or found.report.shortfall < best.report.shortfall:
+        return found
+    feasible = best.report.problem is found.report.problem is None
+    return found if feasible and task.room_beyond(found) > task.room_beyond(best) else best
 
 
 def _others(task: ArmTask, promising: list[Branch], fixed: bool) -> Iterator[tuple[Branch, bool]]:
