@@ -20,8 +20,9 @@ On a flat or convex part of a mesh D is the distance, in a fold w log 2 less.
 
 import warp as wp
 from wrod.kernels.contact.closest import Closest, closest_on_edge, shape_surface
+from wrod.kernels.contact.parts import CORNERS, PARTS, Part, nearest_on_edge, part_of
 from wrod.kernels.contact.shapes import Shape
-from wrod.kernels.contact.solids import CORNERS, MESH, PART, PARTS, mesh_corner
+from wrod.kernels.contact.solids import MESH, mesh_corner
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 
 # Unrolled, its loop over parts is compiled seven times.
@@ -100,16 +101,14 @@ def is_hollow(shape: Shape) -> bool:
 
 
 @wp.func
-def part_weight(mesh: wp.uint64, face: int, k: int) -> wp.float64:
-    """How a triangle (0), one of its sides, or one of its corners counts."""
-    if k == 0:
+def part_weight(part: Part) -> wp.float64:
+    """How a triangle, one of its sides, or one of its corners counts."""
+    if part.k == 0:
         return ONE
-    if k < CORNERS:
+    if part.k < CORNERS:
         return -HALF
-    corner = k - CORNERS
-    p = mesh_corner(mesh, face, corner)
-    a = wp.normalize(mesh_corner(mesh, face, (corner + 1) % 3) - p)
-    b = wp.normalize(mesh_corner(mesh, face, (corner + 2) % 3) - p)
+    a = wp.normalize(part.b - part.a)
+    b = wp.normalize(part.c - part.a)
     return wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b)) / TURN
 
 
@@ -203,6 +202,26 @@ def mean_gap(sums: Sums, radius: wp.float64) -> Gap:
     return out
 
 
+@wp.func
+def turned(g: Gap, turn: wp.mat33d) -> Gap:
+    """A gap in a solid's frame, seen from outside."""
+    out = g
+    back = wp.transpose(turn)
+    out.normal = turn * g.normal
+    out.head = turn * g.head
+    out.tail = turn * g.tail
+    out.by_head = turn * g.by_head * back
+    out.mixed = turn * g.mixed * back
+    out.by_tail = turn * g.by_tail * back
+    out.s_by_head = turn * g.s_by_head
+    out.s_by_tail = turn * g.s_by_tail
+    out.by_rounding.head = turn * g.by_rounding.head
+    out.by_rounding.tail = turn * g.by_rounding.tail
+    out.by_radius.head = turn * g.by_radius.head
+    out.by_radius.tail = turn * g.by_radius.tail
+    return out
+
+
 # Written out at every place that asks, this and `touched_parts` take a GPU's compiler long.
 @wp.func(inline=False)
 def edge_gap(
@@ -210,15 +229,18 @@ def edge_gap(
 ) -> Gap:  # fmt: skip
     """Of an edge from q to q + e and a solid that it may touch."""
     if is_hollow(shape) and radius > ZERO:
-        inside = shape_surface(shape, q).distance < ZERO
-        if not inside and shape_surface(shape, q + e).distance >= ZERO:
-            sums = touched_parts(shape, q, e, c, radius)
-            if sums.positive == ZERO:
+        turn = wp.quat_to_matrix(shape.rotation)
+        back = wp.transpose(turn)
+        sums = touched_parts(shape, back * (q - shape.position), back * e, c, radius)
+        apart = sums.positive == ZERO
+        if apart or sums.weight > LEAST * sums.positive:
+            outside = shape_surface(shape, q).distance >= ZERO
+            if outside and apart:
                 out = Gap()
                 out.distance = TWO * radius
                 return out
-            if sums.weight > LEAST * sums.positive:
-                return mean_gap(sums, radius)
+            if outside and shape_surface(shape, q + e).distance >= ZERO:
+                return turned(mean_gap(sums, radius), turn)
     return gap_of(closest_on_edge(shape, q, e, c), e, c)
 
 
@@ -226,32 +248,32 @@ def edge_gap(
 def touched_parts(
     shape: Shape, q: wp.vec3d, e: wp.vec3d, c: wp.float64, radius: wp.float64
 ) -> Sums:  # fmt: skip
-    """Sums over the parts of a mesh within reach, all by exp((radius - distance) / width)."""
+    """Sums over the parts of a mesh within reach, all by exp((radius - distance) / width); the
+    edge, and they, are seen from the mesh."""
     width = SOFTNESS * radius
     reach = radius + WIDTHS * width
-    a = wp.quat_rotate_inv(shape.rotation, q - shape.position)
-    b = a + wp.quat_rotate_inv(shape.rotation, e)
     far = wp.vec3d(reach, reach, reach)
-    low = wp.min(a, b) - far
-    high = wp.max(a, b) + far
+    low = wp.min(q, q + e) - far
+    high = wp.max(q, q + e) + far
     query = wp.mesh_query_aabb(
         shape.mesh,
         wp.vec3(float(low[0]), float(low[1]), float(low[2])),
         wp.vec3(float(high[0]), float(high[1]), float(high[2])),
     )
-    part = shape
-    part.kind = PART
     sums = Sums()
     face = int(0)
     while wp.mesh_query_aabb_next(query, face):
+        corner_a = mesh_corner(shape.mesh, face, 0)
+        corner_b = mesh_corner(shape.mesh, face, 1)
+        corner_c = mesh_corner(shape.mesh, face, 2)
         parts = int(1)
         k = int(0)
         while k < parts:
-            part.size = wp.vec3d(wp.float64(face), wp.float64(k), shape.size[2])
-            near = closest_on_edge(part, q, e, c)
+            part = part_of(k, corner_a, corner_b, corner_c, shape.size[2])
+            near = nearest_on_edge(part, q, e, c, reach)
             if near.distance < reach:
                 parts = PARTS
-                p = part_weight(shape.mesh, face, k) * wp.exp((radius - near.distance) / width)
+                p = part_weight(part) * wp.exp((radius - near.distance) / width)
                 sums = add_part(sums, p, gap_of(near, e, c))
             k += 1
     return sums

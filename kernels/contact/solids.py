@@ -20,10 +20,6 @@ CAPSULE = wp.constant(4)
 CONE = wp.constant(5)
 ELLIPSOID = wp.constant(6)
 MESH = wp.constant(7)
-# A triangle of a mesh, a side or a corner of it: its size is which triangle, and which of these.
-PART = wp.constant(8)
-CORNERS = wp.constant(4)
-PARTS = wp.constant(7)
 # Of the search for the nearest point of an ellipsoid.
 HALVINGS = wp.constant(70)
 
@@ -267,9 +263,8 @@ def on_segment(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
 def triangle_surface(
     p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, side: wp.float64, size: wp.float64
 ) -> Surface:
-    """Of a triangle, a segment (b = c) or a point, seen from the side on which p is; or, of a
-    triangle of a surface, from outside: p is inside (side -1) or outside (1) where its nearest
-    point is on the border."""
+    """Of a triangle, seen from the side on which p is; of a surface's, from outside: p is inside
+    (side -1) or outside (1) where its nearest point is on the border."""
     s = Surface()
     face = wp.normalize(wp.cross(b - a, c - a))
     height = wp.dot(p - a, face)
@@ -342,21 +337,6 @@ def mesh_surface(p: wp.vec3d, mesh: wp.uint64, size: wp.float64) -> Surface:
     return triangle_surface(p, a, b, c, side, size)
 
 
-@wp.func
-def part_surface(p: wp.vec3d, mesh: wp.uint64, face: int, k: int, size: wp.float64) -> Surface:
-    """Of a triangle of a mesh (k = 0), its side k, or its corner k - 4."""
-    first = wp.where(k < CORNERS, wp.max(k - 1, 0), k - CORNERS)
-    a = mesh_corner(mesh, face, first)
-    b = wp.vec3d(a)
-    c = wp.vec3d(a)
-    if k < CORNERS:
-        b = mesh_corner(mesh, face, (first + 1) % 3)
-        c = wp.vec3d(b)
-    if k == 0:
-        c = mesh_corner(mesh, face, 2)
-    return triangle_surface(p, a, b, c, ZERO, size)
-
-
 # Written out at every place that asks, this takes a GPU's compiler minutes.
 @wp.func(inline=False)
 def solid_surface(kind: int, size: wp.vec3d, mesh: wp.uint64, p: wp.vec3d) -> Surface:
@@ -375,8 +355,6 @@ def solid_surface(kind: int, size: wp.vec3d, mesh: wp.uint64, p: wp.vec3d) -> Su
         s = ellipsoid_surface(p, size)
     elif kind == MESH:
         s = mesh_surface(p, mesh, size[0])
-    elif kind == PART:
-        s = part_surface(p, mesh, int(size[0]), int(size[1]), size[2])
     return s
 
 
