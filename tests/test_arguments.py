@@ -667,6 +667,9 @@ CALLS = {
         wrod.SolverDER.add_newton_rod,
         dict(builder=builder(), rod=described(), density=1000.0),
     ),
+    "SolverDER.add_cable": lambda: (
+        wrod.SolverDER.add_cable, dict(builder=builder(), rod=described(), cfg=None),
+    ),
     "SolverDER.attach": lambda: (
         wrod.SolverDER.attach, dict(builder=held(), rod=0, body=-1, node=2, kind="clamped"),
     ),

@@ -1,9 +1,17 @@
 """`newton.Rod` descriptions in `SolverDER`: chains, rings, branches."""
 
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
 import newton
+import newton.examples
 import numpy as np
 import pytest
+import warp as wp
 from chosen import DEVICE
+from newton.viewer import ViewerNull
+from scipy.spatial.transform import Rotation
 
 import wrod
 from wrod.errors import RodError
@@ -184,3 +192,101 @@ def test_a_tied_spline_stays_tied(friction, name):
     q = settle(solver, state, 150)
     assert name_of([q[:-1]]) == name
     assert solver.penetration().max() < 0.05 * STIFF["radius"]
+
+
+def drop_in(path):
+    """One of Newton's own examples, with the three edits that docs/newton.md names."""
+    register = "wrod.SolverDER.register_custom_attributes(builder)\n"
+    text = (Path(newton.examples.__file__).parent / path).read_text()
+    for before, after in (
+        (r"( *)(builder = newton.ModelBuilder.*\n)", r"\1\2\1" + register),
+        (r"builder\.add_rod\(", "wrod.SolverDER.add_cable(builder, "),
+        (r"newton\.solvers\.SolverVBD\([^)]*\)", "wrod.SolverDER(self.model)"),
+    ):
+        text, count = re.subn(before, after, text)
+        assert count == 1
+    module = {"__name__": "example", "wrod": wrod}
+    exec(compile(text, path, "exec"), module)
+    with wp.ScopedDevice(DEVICE):
+        return module["Example"](ViewerNull(num_frames=1), SimpleNamespace(device=DEVICE))
+
+
+def test_newtons_cantilevers_run_with_three_edits():
+    """Its own criteria, by a step a frame; and deflection times stiffness is that of a chain of
+    joints."""
+    example = drop_in("vbd/example_cable_bend_stiffness.py")
+    example.sim_substeps, example.sim_dt = 1, example.frame_dt
+    for _ in range(510):
+        example.step()
+    example.test_final()
+    joint = 0.1 * np.arange(1, 16)
+    expected = 0.5 * ((1.55 - joint) * (1.5 - joint)).sum()
+    assert example._measured_tip_state()[2][0] * 900.0 == pytest.approx(expected, rel=2e-3)
+
+
+def test_newtons_junction_runs_with_three_edits():
+    """It hangs from the tip without mass; joints between capsules, which its own criterion follows,
+    are none of ours."""
+    example = drop_in("cable/example_cable_y_junction.py")
+    first = example.state_0.body_q.numpy().copy()
+    for _ in range(60):
+        example.step()
+    now = example.state_0.body_q.numpy()
+    assert (now[example.pinned_body] == first[example.pinned_body]).all()
+    assert not example.solver.diverged.any()
+    assert np.abs(now - first)[:, 2].max() > 1e-3
+    ends = example.state_0.der.node_q.numpy()[[0, 21, 42]]
+    assert np.ptp(ends, axis=0) == pytest.approx(0.0, abs=1e-6)  # they still meet
+
+
+def cantilever(**options):
+    """A rod of ten edges of a cable, whose first one has no mass."""
+    builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
+    SolverDER.register_custom_attributes(builder)
+    line = newton.Rod(np.linspace((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 11), radius=0.01)
+    bodies, joints = SolverDER.add_cable(
+        builder, rod=line, bend_stiffness=50.0, bend_damping=2.5, stretch_damping=1.0, **options
+    )
+    assert [builder.joint_child[j] for j in joints] == bodies
+    builder.body_mass[bodies[0]] = builder.body_inv_mass[bodies[0]] = 0.0
+    builder.body_inertia[bodies[0]] = builder.body_inv_inertia[bodies[0]] = wp.mat33(0.0)
+    model = builder.finalize(device=DEVICE)
+    return SolverDER(model, scheme="euler", tolerance=1e-10), model.state(), bodies
+
+
+def test_forces_on_capsules_bend_a_rod():
+    """A force at the middle of the last edge, and a torque across it, turn each joint by its share,
+    here for small ones; and what is along the edge pulls."""
+    solver, state, bodies = cantilever()
+    wrench = state.body_f.numpy()
+    wrench[bodies[-1]] = [0.0, 1e-3, 2e-3, 0.0, 3e-3, 0.0]
+    state.body_f.assign(wrench)
+    q = settle(solver, state, 100, 0.05)
+    joint = 0.1 * np.arange(1, 10)
+    turn = np.stack([1e-3 * (0.95 - joint), 2e-3 * (0.95 - joint) - 3e-3], axis=1) / 50.0
+    expected = ((1.0 - joint)[:, None] * turn).sum(axis=0)
+    assert q[10, 1:] == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_capsule_without_mass_carries_its_edge():
+    solver, state, bodies = cantilever()
+    settle(solver, state, 1)
+    poses = state.body_q.numpy()
+    turn = Rotation.from_rotvec([0.1, 0.3, -0.2])
+    place = np.array([0.2, 0.1, 0.3])
+    poses[bodies[0], :3] = place
+    poses[bodies[0], 3:] = (turn * Rotation.from_quat(poses[bodies[0], 3:])).as_quat()
+    first = state.der.node_q.numpy().copy()
+    state.body_q.assign(poses)
+    q = settle(solver, state, 200, 0.05)
+    assert q == pytest.approx(place + turn.apply(first - [0.05, 0.0, 0.0]), abs=1e-5)
+    assert state.body_q.numpy()[bodies[0]] == pytest.approx(poses[bodies[0]], abs=0.0)
+
+
+def test_cables_take_what_newtons_take():
+    with pytest.raises(RodError, match="knows no 'colour'"):
+        cantilever(colour=(1.0, 0.0, 0.0))
+    with pytest.raises(RodError, match="no stiffness"):
+        builder = newton.ModelBuilder()
+        SolverDER.register_custom_attributes(builder)
+        SolverDER.add_cable(builder, rod=newton.Rod(helix(), radius=0.004))

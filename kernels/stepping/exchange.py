@@ -155,6 +155,42 @@ def write_state(
 
 
 @wp.func
+def pull_of(
+    body: int, body_f: wp.array(dtype=wp.spatial_vector), e: wp.vec3d, side: wp.float64
+) -> wp.vec3d:
+    """What the wrench on the capsule of an edge e does to the node at its head (side -1) or tail
+    (1): half of the force, and a couple for what of the torque is across the edge."""
+    out = wp.vec3d()
+    if body >= 0:
+        w = body_f[body]
+        force = wp.vec3d(wp.float64(w[0]), wp.float64(w[1]), wp.float64(w[2]))
+        torque = wp.vec3d(wp.float64(w[3]), wp.float64(w[4]), wp.float64(w[5]))
+        out = wp.float64(0.5) * force + (side / wp.dot(e, e)) * wp.cross(torque, e)
+    return out
+
+
+@wp.kernel
+def pull_nodes(
+    # Model:
+    body: wp.array2d(dtype=wp.int32),
+    # State in:
+    body_f: wp.array(dtype=wp.spatial_vector),
+    dof: wp.array2d(dtype=wp.float64),
+    # State out:
+    load_out: wp.array2d(dtype=wp.vec3d),
+):
+    """Give the nodes the forces on the capsules beside them. Launched over (row, node)."""
+    r, b = wp.tid()
+    q = node(dof, r, b)
+    load = wp.vec3d()
+    if b < body.shape[1]:
+        load += pull_of(body[r, b], body_f, node(dof, r, b + 1) - q, wp.float64(-1.0))
+    if b > 0:
+        load += pull_of(body[r, b - 1], body_f, q - node(dof, r, b - 1), wp.float64(1.0))
+    load_out[r, b] = load
+
+
+@wp.func
 def capsule_turn(z: wp.vec3d, director: wp.vec3d) -> wp.quatd:
     """Rotation of a body on an edge, x along the director and z along the edge."""
     x = wp.normalize(director - wp.dot(director, z) * z)

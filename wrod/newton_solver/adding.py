@@ -10,7 +10,7 @@ from wrod import arguments
 from wrod.errors import RodError
 from wrod.newton_solver import attributes
 from wrod.newton_solver.curves import add_curves, write_curves
-from wrod.newton_solver.described import add_described
+from wrod.newton_solver.described import add_cable, add_described
 from wrod.newton_solver.meshed import MeshedRod
 from wrod.rods.material import RodMaterial, ask_after_units
 from wrod.rods.model import RodModel
@@ -171,7 +171,58 @@ class RodBuilding:
             stretch_stiffness=stretch_stiffness, bend_stiffness=bend_stiffness,
             twist_stiffness=twist_stiffness, bend_damping=bend_damping,
         )  # fmt: skip
-        return add_described(builder, rod, density, joints, RodBuilding.add_rod, **options)
+        added = add_described(builder, rod, density, joints, RodBuilding.add_rod, **options)
+        return [index for index, _ in added]
+
+    @staticmethod
+    @arguments.checked(
+        RodError,
+        rod=arguments.like("a newton.Rod", "points", "edges", "quaternions"),
+        cfg=arguments.optional(arguments.like("a ShapeConfig", "density")),
+        stretch_stiffness=_OF_JOINT,
+        bend_stiffness=_OF_JOINT,
+        twist_stiffness=_OF_JOINT,
+        bend_damping=arguments.optional(arguments.number(0.0, 1e12)),
+    )
+    def add_cable(
+        builder: newton.ModelBuilder,
+        *,
+        rod: newton.Rod,
+        cfg: newton.ModelBuilder.ShapeConfig | None = None,
+        stretch_stiffness: float | None = None,
+        bend_stiffness: float | None = None,
+        twist_stiffness: float | None = None,
+        bend_damping: float | None = None,
+        **options,
+    ) -> tuple[list[int], list[int]]:
+        """`add_newton_rod` in the place of `ModelBuilder.add_rod`, with its arguments and what it
+        returns, so that a scene may go on as with capsules of Newton's.
+
+        A capsule whose mass the scene sets to 0 is no longer moved, but holds its edge: it may be
+        put elsewhere by its pose. Forces on the others (`state_in.body_f`) are those on the nodes
+        beside them; torques as far as they are across the edge.
+
+        Args:
+            builder: The model builder.
+            rod: The description.
+            cfg: Of the capsules; only its density counts, of the rod. Defaults to the builder's.
+            stretch_stiffness, bend_stiffness, twist_stiffness, bend_damping: As of
+                `add_newton_rod`.
+            options: label, color; and, without effect, stretch_damping, twist_damping,
+                shear_stiffness, shear_damping, wrap_in_articulation, junction_collision_filter.
+
+        Returns:
+            The capsules, in the order of the description's edges, and the joints that tie each to
+            the world; of a branch of a single edge, which is halved, the first half's.
+
+        Raises:
+            RodError: Nothing says how stiff it is, or an argument is unusable.
+        """
+        joints = dict(
+            stretch_stiffness=stretch_stiffness, bend_stiffness=bend_stiffness,
+            twist_stiffness=twist_stiffness, bend_damping=bend_damping,
+        )  # fmt: skip
+        return add_cable(builder, rod, cfg, joints, options, RodBuilding.add_rod)
 
     @staticmethod
     @arguments.checked(

@@ -62,6 +62,7 @@ _ATTRIBUTES: list[tuple[str, str, Any, dict[str, Any]]] = [
     (ROD, "rod_body", _WHOLE, _BODY),
     (ROD, "rod_visible", _WHOLE, {}),
     (ROD, "rod_touches_rods", _WHOLE, {"default": 1}),
+    (ROD, "rod_weighs", _WHOLE, {}),  # whether its capsules have mass, and hold it without
     (ROD, "rod_start_hold", _WHOLE, {}),
     (ROD, "rod_start_body", _WHOLE, _BODY),
     (ROD, "rod_end_hold", _WHOLE, {}),
@@ -160,6 +161,7 @@ def add_rod(
             "der:rod_body": body,
             "der:rod_visible": int(visible),
             "der:rod_touches_rods": int(touches_rods),
+            "der:rod_weighs": 0,
             "der:rod_start_hold": HOLDS[start],
             "der:rod_start_body": start_body,
             "der:rod_end_hold": HOLDS[end],
@@ -228,6 +230,26 @@ def attach(builder: ModelBuilder, rod: int, body: int, node: int, kind: str) -> 
             "der:hold_body": int(body),
         }
     )
+
+
+def capsules(builder: ModelBuilder, rod: int) -> range:
+    """The bodies that show a rod's edges."""
+    values = [builder.custom_attributes[f"der:rod_{n}"].values[rod] for n in ("body", "node_count")]
+    return range(values[0], values[0] + values[1] - 1)
+
+
+def weigh(builder: ModelBuilder, rod: int) -> None:
+    """Give a rod's capsules their edges' mass, without which one holds its edge."""
+    values = builder.custom_attributes
+    first = values["der:rod_first_node"].values[rod]
+    radius = values["der:rod_radius"].values[rod]
+    values["der:rod_weighs"].values[rod] = 1
+    for i, body in enumerate(capsules(builder, rod)):
+        mass = sum(values["der:node_mass"].values[first + i : first + i + 2]) / 2
+        builder.body_mass[body], builder.body_inv_mass[body] = mass, 1.0 / mass
+        inertia = np.eye(3) * mass * radius**2
+        builder.body_inertia[body] = wp.mat33(inertia)
+        builder.body_inv_inertia[body] = wp.mat33(np.linalg.inv(inertia))
 
 
 def _refuse_stranger(builder: ModelBuilder) -> None:

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.arguments import array, check_fields, flag, number, optional
 from wrod.errors import RodError
+from wrod.newton_solver.attributes import capsules, weigh
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 from wrod.rods.rotation import angle_about, transport, unit
@@ -27,14 +28,21 @@ _FIELDS = {
 _JOINT_MASS = 0.01
 # Of the shorter edge, over which the stiffness changes from joint to joint.
 _STEP = 1e-6
+# Of Newton's `add_rod`: how a cable looks, and what has no place in a rod that does not shear, has
+# one damping, and is no articulation.
+_LOOKS = {"label", "color"}
+_WITHOUT_PLACE = {
+    "stretch_damping", "shear_stiffness", "shear_damping", "twist_damping", "wrap_in_articulation",
+    "junction_collision_filter",
+}  # fmt: skip
 _STRETCH = 1e5  # of a joint, where nothing says how stiff it is [N/m]: Newton's default
 
 
 def add_described(
     builder, described: newton.Rod, density: float, joints: dict, add, **options
-) -> list[int]:
+) -> list[tuple[int, list[int]]]:
     """`SolverDER.add_newton_rod`, which documents the arguments, `joints` those of Newton's
-    `add_rod`; `add` is `SolverDER.add_rod`."""
+    `add_rod`; `add` is `SolverDER.add_rod`. The rods, and which edges each of them is made of."""
     check_fields(described, RodError, **_FIELDS)
     points = np.array(described.points, dtype=np.float64)
     if not ((np.array(described.edges) >= 0) & (np.array(described.edges) < len(points))).all():
@@ -82,13 +90,31 @@ def add_described(
             if node in met:
                 held |= {side: "clamped", f"{side}_body": met[node]}
         name = label if label is None or len(chains) == 1 else f"{label}/{k}"
-        added.append(
-            add(
-                builder, shape.points, model, director=shape.directors, rest_length=rest.lengths,
-                natural_curvature=curvature, natural_twist=twist, label=name, **held, **options,
-            )
+        rod = add(
+            builder, shape.points, model, director=shape.directors, rest_length=rest.lengths,
+            natural_curvature=curvature, natural_twist=twist, label=name, **held, **options,
         )  # fmt: skip
+        added.append((rod, rows))
     return added
+
+
+def add_cable(
+    builder, described: newton.Rod, cfg, joints: dict, options: dict, add
+) -> tuple[list[int], list[int]]:
+    """`SolverDER.add_cable`, which documents the arguments, `joints` and `options` being those of
+    Newton's `add_rod`; `add` is `SolverDER.add_rod`."""
+    if strange := sorted(set(options) - _LOOKS - _WITHOUT_PLACE):
+        raise RodError(f"add_cable knows no {strange[0]!r}; give arguments of Newton's add_rod")
+    density = (builder.default_shape_cfg if cfg is None else cfg).density
+    look = {name: value for name, value in options.items() if name in _LOOKS}
+    bodies = [-1] * len(described.edges)
+    for rod, edges in add_described(builder, described, density, joints, add, **look):
+        weigh(builder, rod)
+        for edge, body in zip(
+            edges, capsules(builder, rod), strict=False
+        ):  # single ones are halved
+            bodies[edge] = body
+    return bodies, [builder.joint_child.index(body) for body in bodies]
 
 
 class _Shape:

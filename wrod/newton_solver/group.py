@@ -284,6 +284,8 @@ class RodGroup:
         source = [der.node_q, der.node_qd, der.edge_director, der.edge_spin]
         inputs = [self.place, *source, state.dof, dynamics.velocity, self.written_director]
         batch.launch(exchange.find_changes, shape, inputs, [self.changed])
+        inputs = [self.capsules, state_in.body_f, state.dof]
+        batch.launch(exchange.pull_nodes, shape, inputs, [batch.point_load])
         if self.bodies is not None:
             self.bodies.find_changes(state_in.body_q, state_in.body_qd, self.changed)
         inputs = [self.place, batch.rest_length, self.changed, *source]

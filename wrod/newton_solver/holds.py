@@ -58,6 +58,8 @@ class Holds:
             self._add(rod, node, kind, body, ghost=2 * int(side) - 1)
         for rod, node, kind, body in _attachments(der):
             self._add(rod, node, kind, body, ghost=0)
+        for rod, edge, body in _weightless_capsules(model):
+            self._add(rod, edge, CLAMPED, body, ghost=0)
         self.bodies = sorted({h.body for held in self._of.values() for h in held if h.body >= 0})
 
     def of(self, rod: int) -> list[Held]:
@@ -99,6 +101,18 @@ def _attachments(der) -> list[tuple[int, int, int, int]]:
     names = ("rod", "node", "kind", "body")
     columns = (getattr(der, f"hold_{name}").numpy() for name in names)
     return [(int(r), int(n), int(k), int(b)) for r, n, k, b in zip(*columns, strict=True)]
+
+
+def _weightless_capsules(model: newton.Model) -> list[tuple[int, int, int]]:
+    """Rod, edge and body of capsules that the scene has taken the mass of, as Newton's solvers are
+    told that a body stays where it is put: they hold their edges."""
+    der, mass = model.der, model.body_mass.numpy()
+    first, count = der.rod_body.numpy(), der.rod_node_count.numpy()
+    out = []
+    for rod in np.flatnonzero(der.rod_weighs.numpy()):
+        own = np.arange(first[rod], first[rod] + count[rod] - 1)
+        out += [(int(rod), int(b - first[rod]), int(b)) for b in own[mass[own] == 0.0]]
+    return out
 
 
 def free_bodies(model: newton.Model) -> np.ndarray:

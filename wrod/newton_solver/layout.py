@@ -78,12 +78,13 @@ class Layout:
         return out
 
     def capsules(self) -> np.ndarray:
-        """(row, node - 1) body that shows each edge, or -1."""
+        """(row, node - 1) body that shows each edge and goes with it, or -1."""
         der = self.model.der
         visible, first = der.rod_visible.numpy() != 0, der.rod_body.numpy()
         rod, edge = self.rod[:, :-1], self.places["edge"][:, :-1]
         shown = visible[rod] & (self.places["owns"][:, :-1] != 0)
-        return np.where(shown, first[rod] + edge - der.rod_first_edge.numpy()[rod], -1).astype(int)
+        body = first[rod] + edge - der.rod_first_edge.numpy()[rod]
+        return np.where(shown & ~np.isin(body, self.holds.bodies), body, -1).astype(int)
 
     def node_values(self, name: str) -> np.ndarray:
         """(row, node, ...) of an attribute of rods, for every node."""
