@@ -191,9 +191,16 @@ def prepare_deployment(
     side = np.cross([0.0, 0.0, 1.0], tangent)
     frame = np.column_stack([tangent, side, [0.0, 0.0, 1.0]])
     suspended = (rod.length - start) / lgb
-    hangs = _hanging(float(suspended), float(curvature * lgb), float(rod.stretch_ratio))
-    shape = contact + lgb * hangs @ frame.T
-    s = np.concatenate([[0.0], np.cumsum(rest_lengths(np.array([suspended]), len(shape) - 1)[0])])
+    if RodModel.of(rod).law.at_rest is None and trajectory.shape is not None:
+        # It would remember to have hung elsewhere.
+        shape = np.asarray(trajectory.shape[first])
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(shape, axis=0), axis=1))])
+        s *= suspended / s[-1]
+    else:
+        hangs = _hanging(float(suspended), float(curvature * lgb), float(rod.stretch_ratio))
+        shape = contact + lgb * hangs @ frame.T
+        rest = rest_lengths(np.array([suspended]), len(shape) - 1)[0]
+        s = np.concatenate([[0.0], np.cumsum(rest)])
     position = np.empty((len(arc_length), 3))
     on_table = arc_length <= start * (1.0 + 1e-9)
     position[on_table] = pattern.sample(arc_length[on_table] + offset)[0]

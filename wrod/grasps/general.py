@@ -28,7 +28,7 @@ from wrod.grasps.levels import (
     put,
 )
 from wrod.grasps.mesh import ghost, node_weights, tolerance, two_sided_rest_lengths
-from wrod.kernels.grasping import general_rod, iteration, reading
+from wrod.kernels.grasping import general_rod, iteration, memory, reading
 from wrod.kernels.linear.frontal import row_width, stencil_entries
 from wrod.machine import usable_cores
 from wrod.rods.batch import RodBatch
@@ -98,7 +98,8 @@ def solve_general(
     roll: np.ndarray,
     options: GraspOptions,
 ) -> dict[str, np.ndarray]:
-    """Fields of `Grasps` for rods given by their arrays.
+    """Fields of `Grasps` for rods given by their arrays, and where `options.curvatures` asks for it
+    "coarse" and "fine", (n, node, 2) curvatures of the nodes on both meshes, 0 at the grip.
 
     Args:
         length, curvature, stretch_ratio: (n,) suspended length, signed curvature of the pattern,
@@ -143,6 +144,8 @@ def solve_general(
         parts = list(pool.map(solve, range(0, n, size)))
     out = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     out["twist"][right] *= -1.0
+    for name in {"coarse", "fine"} & out.keys():
+        out[name][right, :, 1] *= -1.0
     return out
 
 
@@ -242,6 +245,15 @@ class _GeneralLevel:
         outputs = [read.rotation, read.lowest, read.turning, self.twist]
         launch(device, reading.read_general, n, inputs, outputs, WIDE_BLOCK)
 
+    def curvatures(self) -> np.ndarray:
+        """(n, node, 2) of the nodes in their material frames, 0 at the grip."""
+        level = self.straight
+        n, edges = level.rods, level.edges
+        bent = wp.zeros((n, edges + 1), dtype=wp.vec2d, device=self.device)
+        inputs = [edges, level.rest, level.curvature, self.state]
+        launch(self.device, memory.read_curvature, n, inputs, [bent], WIDE_BLOCK)
+        return bent.numpy()
+
     def eigenvalue(self) -> np.ndarray:
         """(n,) smallest eigenvalues of the rods as they are held."""
         batch = self._held()
@@ -316,6 +328,8 @@ def _solve_chunk(
     share = 1.0 / 3.0 if options.extrapolate else 0.0
     twist = fine.twist.numpy()
     result["twist"] = twist + share * (twist - coarse.twist.numpy())
+    if options.curvatures:
+        result |= {"coarse": coarse.curvatures(), "fine": fine.curvatures()}
     if options.eigenvalues:
         result["eigenvalue"] = fine.eigenvalue()
         result["growth"] = fine.growth()

@@ -28,6 +28,7 @@ class GraspOptions:
     Attributes:
         closure: its number.
         device: Warp's name of it.
+        curvatures: whether `solve_general` gives those of the nodes as well.
     """
 
     closure: int
@@ -38,6 +39,7 @@ class GraspOptions:
     shapes: bool
     threads: int | None
     progress: Callable[[int], object] | None
+    curvatures: bool = False
 
 
 def closure_number(closure: str) -> int:

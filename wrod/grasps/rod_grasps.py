@@ -14,10 +14,12 @@ from wrod.grasps.general import RodArrays, solve_general
 from wrod.grasps.inputs import GraspOptions, check_inputs, closure_number
 from wrod.grasps.mesh import WEIGHT, two_sided_rest_lengths
 from wrod.grasps.optimal import EDGE_COUNT
+from wrod.grasps.remembering import CLOSE, SWEEPS, History, between
 from wrod.grasps.results import Grasps, rows, same_rows
 from wrod.records import brief, checked_fields
 from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import Rod, mesh_arrays, models_of
+from wrod.rods.law import Linear
 from wrod.rods.model import RodModel
 from wrod.solvers.recording import launching
 
@@ -129,8 +131,17 @@ def solve_rod_grasps(
     number = closure_number(closure)
     if edge_count < 16 or edge_count % 4:
         raise GraspError(f"edge_count is {edge_count}; use a multiple of four from 16")
-    model = _at_rest(models_of(rod)[0])
-    contact = _contacts(model, arc_length, curvature)
+    model = models_of(rod)[0]
+    law = model.law
+    model = replace(model, law=law.at_rest or Linear())
+    asked = _contacts(model, arc_length, curvature)
+    contact, given = asked, np.arange(len(asked))
+    if law.at_rest is None:
+        contact, given = _in_order(asked, model.gravito_bending_length)
+    curvature, held_roll, natural_share = (
+        value if np.size(value) <= 1 else np.interp(contact, asked, value)
+        for value in (curvature, held_roll, natural_share)
+    )
     roll = _from_up(model, contact, held_roll)
     lgb, bending = _units(model)
     stretch = mesh_arrays(model, np.linspace(0.0, model.length, 257))["stretching_stiffness"].mean()
@@ -150,10 +161,44 @@ def solve_rod_grasps(
     options = GraspOptions(
         number, resolve_device(device), edge_count, extrapolate, True, True, threads, None
     )
-    grasps = Grasps(
-        **solve_general(length, kappa, ratio, rods, roll + model.principal_angle, options)
-    )
-    return _in_si(grasps, contact, kappa, lgb, bending / lgb**2)
+    inputs = length, kappa, ratio
+    roll = roll + model.principal_angle
+    if law.at_rest is None:
+        meshes = {edges: rods(edges) for edges in (edge_count // 2, edge_count)}
+        history = History(law.scaled(lgb, 1.0), contact / lgb, length, meshes)
+        found = _settled(history, inputs, roll, options)
+    else:
+        found = solve_general(*inputs, rods, roll, options)
+    grasps = Grasps(**{name: value[given] for name, value in found.items()})
+    return _in_si(grasps, contact[given], kappa[given], lgb, bending / lgb**2)
+
+
+def _settled(
+    history: History, inputs: tuple, roll: np.ndarray, options: GraspOptions
+) -> dict[str, np.ndarray]:
+    """Fields of `Grasps` of a rod that remembers, at all of its contacts; those that go on changing
+    have not converged."""
+    edges = options.edge_count
+    sweep = replace(options, eigenvalues=False, shapes=False, curvatures=True)
+    for _ in range(SWEEPS):
+        found = solve_general(*inputs, history.rods, roll, sweep)
+        bent = {edges // 2: found["coarse"], edges: found["fine"]}
+        if history.follow(found["position"], bent):
+            break
+    found = solve_general(*inputs, history.rods, roll, options)
+    found["converged"] = found["converged"] & history.settled
+    return found
+
+
+def _in_order(contact: np.ndarray, lgb: float) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) contacts of a rod that remembers [m], none far from the one before, and (n,) which of
+    them are asked for."""
+    if not (np.diff(contact) > 0.0).all():
+        raise GraspError(
+            "the rod remembers how it was bent, so that its grasps depend on those before them; "
+            "give contacts in the order in which they are laid, each further along the rod"
+        )
+    return between(contact, CLOSE * lgb)
 
 
 def _contacts(model: RodModel, arc_length, curvature) -> np.ndarray:
@@ -208,16 +253,6 @@ def _in_si(grasps: Grasps, contact, curvature, lgb: float, force: float) -> RodG
         length_unit=lgb,
         force_unit=force,
     )
-
-
-def _at_rest(model: RodModel) -> RodModel:
-    if model.law.at_rest is None:
-        raise GraspError(
-            f"a grasp is an equilibrium, and a rod with the law {model.law.name} remembers how it "
-            "came there; take grasps and plans of the rod with law wrod.rods.law.Linear(), and lay "
-            "the rod itself"
-        )
-    return replace(model, law=model.law.at_rest)
 
 
 def _units(model: RodModel) -> tuple[float, float]:

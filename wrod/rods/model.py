@@ -296,8 +296,9 @@ class RodModel(RodTransformations):
 
     @property
     def has_sides(self) -> bool:
-        """Whether it matters how the rod is rolled about its tangent."""
-        return not (self.is_straight and self.is_isotropic)
+        """Whether it matters how the rod is rolled about its tangent: also of one that stays bent
+        it does, once it was bent."""
+        return not (self.is_straight and self.is_isotropic) or self.law.at_rest is None
 
     @property
     def is_isotropic(self) -> bool:
