@@ -28,9 +28,9 @@ _DAMPING, _HARDER, _TRIALS = 1e-3, 5.0, 7
 _CONVERGED = 2e-3
 # A parameter as large as its prior's scale costs this share of the misfit that a fit starts from.
 _PRIOR = 2e-3
-# Slices of windows are run side by side, one a core. Setting one up and recording launches takes
-# as long as so many windows of a second.
-_WORTH_A_SLICE = 8
+# Slices of windows are run side by side, one a core at most. They are set up one after the other,
+# each of which takes as long as so many time steps of a node; with tangents both take longer.
+_SLICE = 5600
 # Stretches for each parameter that tell the errors of estimates.
 _STRETCHES = 3
 # Predictions from shaken grips that tell their scatter.
@@ -125,20 +125,22 @@ class MotionLaboratory:
         return x, rate, failed
 
     def _run(self, windows: Windows, setup: MotionSetup, rates: Sequence[MotionSetup]):
-        worth = len(windows.recording) // _WORTH_A_SLICE
-        count = max(1, min(usable_cores(), worth))
-        count = count if self.device == "cpu" else 1
-        slices = np.array_split(np.arange(len(windows.recording)), count)
+        count, rods = 1, len(windows.recording)
+        if self.device == "cpu":
+            # n slices of the work w, each set up in s, take n s + w / n: least at n^2 = w / s.
+            work = rods * (windows.held.shape[1] - 1) * self.substeps * len(setup.node_length)
+            count = max(1, min(usable_cores(), rods, round(np.sqrt(work / _SLICE))))
+        slices = np.array_split(np.arange(rods), count)
 
         solvers = [
             MotionSolver(
-                windows.part(rods),
+                windows.part(index),
                 self.measurements.rate,
                 substeps=self.substeps,
                 device=self.device,
                 free_roll=self.free_roll,
             )
-            for rods in slices
+            for index in slices
         ]
         runs = [solver.begin(setup, rates) for solver in solvers]
         with ThreadPoolExecutor(count) as pool:
@@ -252,20 +254,30 @@ class MotionLaboratory:
         x, rate, failed = self.run(windows, setup, self.rates(model, values))
         seen, difference, root, cost, prior = self._misfit(windows, model, values, x)
         count = difference.size
-        # Where a run ended early its derivatives mean nothing.
-        rate[failed] = 0.0
-        weighted = difference / root
-        j = rate[seen]
-        share = 3 * np.einsum("fmpc,fmc->fp", j, weighted) / (count * _ROBUST)
-        gradient = share.sum(axis=0)
         frames, recordings = seen.shape[1], len(np.unique(windows.recording))
         pieces = min(max(-(-_STRETCHES * len(values) // recordings), 1), frames)
         piece = windows.recording[:, None] * pieces + np.arange(frames) * pieces // frames
-        owner = piece[seen]
-        shares = np.stack([share[owner == r].sum(axis=0) for r in np.unique(owner)])
+        owners, owner = np.unique(piece[seen], return_inverse=True)
+        hessian = np.zeros((len(values), len(values)))
+        shares = np.zeros((len(owners), len(values)))
+        last = 0
+        # Window by window, which stay in a processor's memory. Held markers have no derivatives.
+        for one, lost, there in zip(rate, failed, seen, strict=True):
+            first, last = last, last + np.count_nonzero(there)
+            if lost:  # where a run ended early its derivatives mean nothing
+                continue
+            part = root[first:last, 2:-2]
+            j = np.moveaxis(one[there, 2:-2], 2, -1) / np.sqrt(part)[..., None]
+            pull = difference[first:last, 2:-2] / np.sqrt(part)
+            flat = j.reshape(-1, len(values))
+            hessian += flat.T @ flat
+            frame = j.reshape(last - first, -1, len(values))
+            pulls = pull.reshape(last - first, 1, -1) @ frame
+            np.add.at(shares, owner[first:last], pulls[:, 0])
+        hessian *= 3.0 / (count * _ROBUST)
+        shares *= 3.0 / (count * _ROBUST)
+        gradient = shares.sum(axis=0)
         shares = shares - shares.mean(axis=0)
-        flat = np.moveaxis(j / np.sqrt(root)[:, :, None], 2, -1).reshape(-1, len(values))
-        hessian = 3 * flat.T @ flat / (count * _ROBUST)
         return {
             "cost": cost,
             "hessian": hessian + np.diag(prior),

@@ -91,10 +91,9 @@ class MotionSolver:
         out[:, :, [0, 1, -2, -1]] = w.markers[:, :, [0, 1, -2, -1]]
         if tangents is None:
             return out, None
-        rates = np.zeros((*out.shape[:3], tangents.count, 3))
-        rates[:, :, 1:-1] = tangents.seen.numpy()[rods, time]
-        rates[:, :2] = 0.0
-        rates[:, :, [0, 1, -2, -1]] = 0.0
+        rates, seen = np.zeros((*out.shape[:3], tangents.count, 3)), tangents.seen.numpy()
+        for k in range(len(rates)):
+            rates[k, 2:, 2:-2] = seen[k, time[k, 2:], 1:-1]
         return out, rates
 
 
