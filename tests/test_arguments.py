@@ -857,6 +857,30 @@ def test_what_lies_on_a_device_is_neither_pickled_nor_copied():
                 how(one)
 
 
+def test_a_device_is_a_name_or_such_an_object_of_warp_or_torch():
+    import warp as wp
+
+    from wrod.solvers.solids import Mesh
+
+    torch = pytest.importorskip("torch")
+    arc = np.linspace(0.0, 0.2, 4)
+    straight = np.stack([arc, 0 * arc, 0 * arc], axis=1)[None]
+
+    def ways(device):
+        yield wrod.RodBatch.of(vps(), arc, straight, device=device).device
+        yield Mesh(np.eye(3), [[0, 1, 2]], device=device).device
+        wrod.solve_grasps([5.0], [0.1], 2e3, device=device)
+        wrod.plan(line(), vps(), "numeric", spacing=0.2, device=device)
+
+    for device in ("cpu", wp.get_device("cpu"), torch.device("cpu"), torch.device("cpu", 0)):
+        assert list(ways(device)) == ["cpu"] * 2
+    for device in ("gpu", torch.device("meta"), torch.device("cuda", 99), 0, torch.float64):
+        with pytest.raises(WrodError, match="device"):
+            wrod.RodBatch.of(vps(), arc, straight, device=device)
+        with pytest.raises(WrodError, match="device"):
+            wrod.solve_grasps([5.0], [0.1], 2e3, device=device)
+
+
 @pytest.mark.parametrize("name", ["Trajectory", "Deployment", "JointPath"])
 def test_nobody_changes_what_was_checked(name):
     kind, own = parts(made()[name])

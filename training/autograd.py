@@ -61,7 +61,7 @@ def solve_grasps_differentiable(
     suspended_length: torch.Tensor,
     curvature: torch.Tensor,
     stretch_ratio: torch.Tensor,
-    device: str | None = None,
+    device: arguments.DeviceLike = None,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Optimal grasps ("zero_tension") that gradients flow through, by the solver's sensitivities.
 

@@ -13,7 +13,7 @@ import numpy as np
 from wrod.training import store
 from wrod.training.sampling import MAX_INDEX, RodInputs, sample
 
-from wrod import __version__
+from wrod import __version__, arguments
 from wrod.controller.curved import untwisted
 from wrod.errors import DataError
 from wrod.files import schemas
@@ -100,7 +100,7 @@ def generate(
     edge_count: int = EDGE_COUNT,
     rod: RodMaterial | None = None,
     roll: float | str = "plane",
-    device: str = "auto",
+    device: arguments.DeviceLike = "auto",
     rank: Rank | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> Generated:

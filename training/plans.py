@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from wrod.training.dataset import Rank
 from wrod.training.plan_files import Bowl, Sample, claim, read, store
 
+from wrod import arguments
 from wrod.controller.corrector import Corrector, CorrectorInputs
 from wrod.deployment.corrections import Corrections
 from wrod.deployment.descent import Problem, TableTask
@@ -164,7 +165,7 @@ def generate(
     *,
     seed: int = 0,
     rank: Rank | None = None,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
     progress: Callable[[], object] | None = None,
 ) -> tuple[int, int]:
     """Optimise the first `size` plans of a random sequence into `folder`.
@@ -205,7 +206,7 @@ def visit_all(
     *,
     seed: int = 0,
     rank: Rank | None = None,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
     progress: Callable[[], object] | None = None,
 ) -> None:
     """Lay the first `size` patterns by a network's corrections, and keep with the plans what came
@@ -243,7 +244,7 @@ def _follow(
     missing: list[int],
     make: Callable[[int], Course[Sample | None]],
     paths: dict[int, Path],
-    device: str | None,
+    device: arguments.DeviceLike,
     progress: Callable[[], object] | None,
     count: int,
 ) -> None:

@@ -9,12 +9,18 @@ import os
 import re
 import sys
 from collections.abc import Callable, Collection, Set
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from wrod.errors import WrodError
 
+if TYPE_CHECKING:
+    import torch
+    import warp
+
+# What `device` takes: "cpu", "cuda:0", "auto", or such an object of Warp or torch.
+DeviceLike: TypeAlias = "str | warp.Device | torch.device | None"
 _LARGEST = sys.float_info.max
 # Numbers in an array: more would take gigabytes, if only to look whether all are finite.
 MOST_NUMBERS = 2**27
@@ -39,7 +45,8 @@ def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
         signature = inspect.signature(function)
         # Where decorators are stacked, the lowest looks at annotations.
         alone = {} if hasattr(function, "__wrapped__") else signature.parameters
-        told = ((name, _told(parameter.annotation)) for name, parameter in alone.items())
+        told = [(name, _told(parameter.annotation)) for name, parameter in alone.items()]
+        places = [name for name, check in told if check is place]
         wanted = {name: check for name, check in told if check is not None} | checks
         unknown = set(checks) - set(signature.parameters)
         if unknown:
@@ -57,6 +64,7 @@ def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
                 said = wrong(check, given[name])
                 if said is not None:
                     raise error(f"{_name(function, args)}: {name} {said}")
+            kwargs |= {name: device_name(kwargs[name]) for name in places if name in kwargs}
             try:
                 return function(*args, **kwargs)
             except RecursionError:
@@ -188,6 +196,20 @@ def _has_masked(value: Any) -> bool:
 def text(value: Any) -> str | None:
     """A string."""
     return None if isinstance(value, str) else "must be a string"
+
+
+def place(value: Any) -> str | None:
+    """Where to compute; what is computed there is given its `device_name`."""
+    good = value is None or isinstance(device_name(value), str)
+    return None if good else 'must be "cpu", "cuda:0", "auto", or such a device of Warp or torch'
+
+
+def device_name(value: Any) -> Any:
+    """The name of a device of Warp or torch ("cuda:0"); anything else as it is."""
+    room, kind = type(value).__module__.partition(".")[0], type(value).__name__
+    if (room, kind) in (("warp", "Device"), ("torch", "device")):
+        return "cpu" if str(value).startswith("cpu") else str(value)
+    return value
 
 
 def path(value: Any) -> str | None:
@@ -353,6 +375,7 @@ _BY_TYPE: dict[str, Check] = {
     "bool": flag,
     "str": text,
     "str | PathLike[str]": path,
+    "DeviceLike": place,
     "ModelBuilder": like("a newton.ModelBuilder", "has_custom_attribute"),
     "Pattern": like("a wrod.Pattern", "sample", "length", "remainder_length"),
     "Model": like("a newton.Model", "body_q", "device", "shape_count"),
@@ -368,7 +391,7 @@ _BY_TYPE: dict[str, Check] = {
 def _told(annotation: Any) -> Check | None:
     """What an annotation says, if it is one of `_BY_TYPE` or a function, or None besides."""
     said = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
-    said = re.sub(r"(\w+\.)+", "", said)
+    said = re.sub(r"(\w+\.)+", "", said.replace(f"{DeviceLike}", "DeviceLike"))
     plain = said.removesuffix(" | None")
     check = callback if plain.startswith("Callable[") else _BY_TYPE.get(plain)
     return check if check is None or plain == said else optional(check)

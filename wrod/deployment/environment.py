@@ -25,7 +25,7 @@ from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.device import OnDevice
+from wrod.rods.device import OnDevice, resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.solvers.friction import Friction
@@ -102,19 +102,20 @@ class LayingVectorEnv(OnDevice, VectorEnv):
         interval: float = 0.5,
         reach: float = 0.02,
         turn: float = 0.2,
-        device: str = "cpu",
+        device: arguments.DeviceLike = "cpu",
         step: float = 0.01,
     ):
         low, high = friction
         if not 0 <= low <= high <= 100:
             raise RodError(f"friction is {low:g} to {high:g}; give a range from 0 to 100")
-        self.num_envs, self.rod, self.device, self.step_size = num_envs, rod, device, step
+        self.num_envs, self.rod, self.step_size = num_envs, rod, step
+        self.device = resolve_device(device)
         self.friction, self.disturbed, self.interval = (low, high), disturbed, interval
         self.scale = np.repeat([reach, turn], 3)
         if isinstance(plan, str):
             from wrod.deployment.plan import plan as plan_of
 
-            plan = plan_of(pattern, rod, plan, device=None if device == "auto" else device)
+            plan = plan_of(pattern, rod, plan, device=self.device)
         self.trajectory = plan
         self.pattern = with_remainder_of(pattern, plan)
         self._tail = Tail.none(plan)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from wrod import arguments
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.result import METRIC_POINTS, interpolation
 from wrod.deployment.setup import Disturbance
@@ -57,7 +58,7 @@ def expect(
     hold: float = 0.05,
     pace: float = PACE,
     coarse: bool = False,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
     watch: Watch | None = None,
 ) -> dict:
     """What a trajectory is to be expected to do on a table: disturbed rods, laid in simulation.
@@ -89,7 +90,7 @@ def foresee(
     trajectory: Trajectory,
     friction: float | tuple[float, float] | None = None,
     *,
-    device: str | None = None,
+    device: arguments.DeviceLike = None,
     watch: Watch | None = None,
 ) -> dict:
     """`expect` for a table, or for one that nobody measured: four rods, coarse meshes."""

@@ -82,7 +82,7 @@ def lay_with_feedback(
     *,
     sight: Sight | None = None,
     known: bool = False,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
     **options,
 ) -> Followed:
     """Lay a rod that differs from the one believed in, looking at it on the way.

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from wrod import arguments
 from wrod.deployment.corrections import Corrections
 from wrod.deployment.descent import (
     Limits,
@@ -50,7 +51,7 @@ def optimise(
     hold: float = 0.05,
     judge: bool = True,
     time_limit: float | None = None,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
 ) -> Trajectory:
     """Correct a trajectory's positions until what stays on the table lies on the pattern.
 
@@ -108,7 +109,7 @@ def optimise_rivals(
     hold: float = 0.05,
     judge: bool = True,
     time_limit: float | None = None,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
 ) -> Trajectory:
     """`optimise` of each of several patterns and their trajectories, such as a pattern with one
     remainder and with another; what is returned is the plan by which unseen rods lie best."""
@@ -150,7 +151,7 @@ def optimise_each(
     samples: int | None = None,
     hold: float = 0.05,
     judge: bool = True,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
     progress: Callable[[int], object] | None = None,
 ) -> list[Trajectory]:
     """`optimise` of several plans: a GPU works on all at once, in little more time than on one.

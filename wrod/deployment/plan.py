@@ -57,7 +57,7 @@ def plan(
     time_limit: float | None = None,
     left: bool | float | None = None,
     expect: bool = False,
-    device: str | None = None,
+    device: arguments.DeviceLike = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> Trajectory:
     """Trajectory of the grip that lays `rod` along `pattern`.

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from wrod import arguments
 from wrod.deployment.expectation import UNMEASURED, expecting
 from wrod.deployment.together import follow
 from wrod.errors import GraspError, WrodWarning
@@ -33,7 +34,7 @@ def expected_errors(
     friction: float | tuple[float, float] | None,
     *,
     hold: float = 0.05,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
 ) -> np.ndarray:
     """(plan,) mean distance from the pattern [m] to be expected of plans, each with the pattern and
     remainder that it is of: the same four disturbed rods on coarse meshes, on a table of such a

@@ -111,7 +111,7 @@ def simulate_deployments(
     speed: float = USUAL_PACE,
     discretisation: Discretisation = USUAL,
     frame_interval: float | None = None,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
     threads: int | None = None,
     friction_field: FrictionField | None = None,
     beyond_grip: bool = False,

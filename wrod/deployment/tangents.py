@@ -9,6 +9,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from wrod import arguments
 from wrod.deployment.assembly import assemble
 from wrod.deployment.carried_tangents import LaidTangents
 from wrod.deployment.discretisation import USUAL, Discretisation
@@ -113,7 +114,7 @@ def lay(
     speed: float = 0.02,
     discretisation: Discretisation = USUAL,
     friction_field: FrictionField | None = None,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
     watch: Watch | None = None,
     remembered: Sequence[LastDeployments] | None = None,
 ) -> list[Laid]:

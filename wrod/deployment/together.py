@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from wrod import arguments
 from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.remembered import LastDeployments
 from wrod.deployment.simulate import Trial, nodes_needed
@@ -45,7 +46,7 @@ Course = Generator[Asked, list[Laid], T]
 def follow(
     courses: Sequence[Course[T]],
     *,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
     progress: Callable[[int], object] | None = None,
     **options,
 ) -> list[T]:

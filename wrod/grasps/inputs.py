@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.results import LIMITS
 from wrod.kernels.grasping import closures
@@ -76,7 +77,7 @@ class GraspArrays:
         return self.arrays[0].shape[0]
 
     @classmethod
-    def of(cls, *inputs, device: str | None = None) -> GraspArrays:
+    def of(cls, *inputs, device: arguments.DeviceLike = None) -> GraspArrays:
         """Inputs that broadcast to (n,). Of tensors or Warp arrays the device is theirs.
 
         Raises:

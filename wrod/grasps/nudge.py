@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrod import arguments
 from wrod.grasps.held_rods import HeldRods
 from wrod.rods.device import resolve_device
 
@@ -38,7 +39,12 @@ class Nudges:
 
 
 def nudge(
-    shape: np.ndarray, suspended_length, stretch_ratio, offset=OFFSETS, *, device: str | None = None
+    shape: np.ndarray,
+    suspended_length,
+    stretch_ratio,
+    offset=OFFSETS,
+    *,
+    device: arguments.DeviceLike = None,
 ) -> Nudges:
     """Nudge the grips of rods in equilibrium sideways, step by step.
 

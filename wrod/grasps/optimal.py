@@ -51,7 +51,7 @@ def solve_grasps(
     closure: str = "zero_tension",
     natural_curvature=None,
     poisson: float = 0.5,
-    device: str | None = None,
+    device: arguments.DeviceLike = None,
     sensitivities: bool = False,
     eigenvalues: bool = False,
     shapes: bool = True,

@@ -104,7 +104,7 @@ def solve_rod_grasps(
     closure: str = "zero_tension",
     held_roll: np.ndarray | float | None = None,
     natural_share: np.ndarray | float = 1.0,
-    device: str | None = None,
+    device: arguments.DeviceLike = None,
     edge_count: int = EDGE_COUNT,
     extrapolate: bool = True,
     threads: int | None = None,

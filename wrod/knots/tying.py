@@ -39,7 +39,7 @@ def tie(
     hand_speed: float = 0.06,
     step: float = 0.01,
     film_interval: float | None = None,
-    device: str = "cpu",
+    device: arguments.DeviceLike = "cpu",
     progress: Callable[[str], object] | None = None,
 ) -> list[TyingResult]:
     """Lay the rods of a knot one after the other, make its moves, and pull what is tied.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from wrod import arguments
 from wrod.errors import GraspError, PatternError, WrodWarning
 from wrod.grasps.results import Grasps
 from wrod.patterns.pattern import Pattern
@@ -54,7 +55,7 @@ def plan_grasps(
     remainder: bool | float | None,
     roll: float | str | None,
     controller: Controller | None,
-    device: str | None,
+    device: arguments.DeviceLike,
     progress: Callable[[int, int], object] | None,
     spin: float = 0.0,
     twisted: bool = False,

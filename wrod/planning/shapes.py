@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from wrod import arguments
 from wrod.errors import GraspError, WrodWarning
 from wrod.patterns.pattern import Pattern
 from wrod.planning.reservations import refuse_unconverged
@@ -21,7 +22,7 @@ def with_shapes(
     trajectory: Trajectory,
     pattern: Pattern | None = None,
     *,
-    device: str | None = None,
+    device: arguments.DeviceLike = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> Trajectory:
     """The trajectory with the shapes of the suspended rod, where its method gave none.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.mesh import MIRROR, MIRROR_ROTATION
 from wrod.grasps.results import Grasps
@@ -37,7 +38,7 @@ class GraspInputs:
     curvature: np.ndarray
     stretch_ratio: float
     closure: str
-    device: str | None = None
+    device: arguments.DeviceLike = None
     progress: Callable[[int, int], object] | None = None
     natural_curvature: tuple[float, float] = (0.0, 0.0)
     poisson: float = 0.5
@@ -56,7 +57,7 @@ class GraspInputs:
         *,
         roll: float = 0.0,
         closure: str = "zero_tension",
-        device: str | None = None,
+        device: arguments.DeviceLike = None,
         progress: Callable[[int, int], object] | None = None,
         controller: Controller | None = None,
         eigenvalues: bool = True,

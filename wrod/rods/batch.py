@@ -70,7 +70,7 @@ class RodBatch(BatchArrays):
         gravity=0.0,
         point_load=0.0,
         director=None,
-        device: str | None = "cpu",
+        device: arguments.DeviceLike = "cpu",
     ):
         if not isinstance(position, wp.array):
             position = arguments.floats(position, "position", RodError)
@@ -144,7 +144,7 @@ class RodBatch(BatchArrays):
         director=None,
         gravity=None,
         point_load=0.0,
-        device: str | None = "cpu",
+        device: arguments.DeviceLike = "cpu",
     ) -> RodBatch:
         """Put rods on meshes; see `wrod.rods.discretisation`.
 

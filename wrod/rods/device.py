@@ -3,15 +3,17 @@
 import warp as wp
 
 import wrod.kernels  # noqa: F401  # starts Warp without its banner, which would be in --json
+from wrod import arguments
 from wrod.errors import RodError
 
 
-def resolve_device(device: str | None) -> str:
+def resolve_device(device: arguments.DeviceLike) -> str:
     """`None` and "auto" mean the first CUDA device if there is one, else the CPU.
 
     Raises:
         RodError: the device does not exist on this machine, or has no memory left to begin with.
     """
+    device = arguments.device_name(device)
     if device in (None, "auto"):
         device = "cuda:0" if wp.is_cuda_available() else "cpu"
     try:

@@ -12,6 +12,7 @@ from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.contact import shapes as kernels
 from wrod.kernels.contact import solids
+from wrod.rods.device import resolve_device
 
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 # How far a vertex may lie over a convex mesh, over its size, and triangles that are looked at
@@ -129,7 +130,7 @@ class Mesh:
         vertices: (vertex, 3) in the mesh's own frame [length].
         triangles: (triangle, 3) indices of their corners.
         center, rotation: where its frame is, and a quaternion xyzw.
-        device: where rods touch it: "cpu", "cuda:0".
+        device: where rods touch it: "cpu", "cuda:0", "auto".
 
     Raises:
         RodError: no triangles, a corner that is no vertex, or a vertex that is not finite.
@@ -139,7 +140,7 @@ class Mesh:
     triangles: np.ndarray
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rotation: tuple[float, float, float, float] = _UPRIGHT
-    device: str = "cpu"
+    device: arguments.DeviceLike = "cpu"
     _mesh: wp.Mesh = field(init=False, repr=False)
     _hollow: bool = field(init=False, repr=False)
 
@@ -155,6 +156,7 @@ class Mesh:
             np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
         )
         triangles = triangles[area > 1e-12 * area.max()]
+        object.__setattr__(self, "device", resolve_device(self.device))
         mesh = wp.Mesh(
             points=wp.array(vertices, dtype=wp.vec3, device=self.device),
             indices=wp.array(triangles.ravel(), dtype=wp.int32, device=self.device),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.held_rods import HeldRods
 from wrod.grasps.inputs import check_inputs
@@ -49,7 +50,7 @@ def boundary(
     stretch_ratio,
     angle=None,
     *,
-    device: str | None = None,
+    device: arguments.DeviceLike = None,
     edge_count: int = EDGE_COUNT,
     threads: int | None = None,
     progress: Callable[[int], object] | None = None,

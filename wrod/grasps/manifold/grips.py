@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.held_rods import HeldRods
 from wrod.grasps.inputs import check_inputs
@@ -72,7 +73,7 @@ def equilibrium(
     stretch_ratio,
     *,
     curvature=0.0,
-    device: str | None = None,
+    device: arguments.DeviceLike = None,
     edge_count: int = EDGE_COUNT,
     threads: int | None = None,
     progress: Callable[[int], object] | None = None,

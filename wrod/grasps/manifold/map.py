@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import GraspError
 from wrod.files import write_npz
 from wrod.grasps.inputs import CLOSURES, check_inputs
@@ -69,7 +70,7 @@ def force_map(
     closure: str = "zero_tension",
     rays: int = 69,
     offset: float = OFFSET,
-    device: str | None = None,
+    device: arguments.DeviceLike = None,
     threads: int | None = None,
     progress: Callable[[str], object] | None = None,
 ) -> ForceMap:

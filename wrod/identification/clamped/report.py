@@ -129,7 +129,7 @@ def identify_clamped(
     *,
     test: ClampedMeasurements | str | os.PathLike[str] | None = None,
     candidates: Sequence[Effect | str] | None = None,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
     seconds: float | None = None,
     progress=None,
 ) -> IdentificationReport:

@@ -165,7 +165,7 @@ def identify_motion(
     test: MotionMeasurements | str | os.PathLike[str] | None = None,
     candidates: Sequence[Effect | str] | None = None,
     subdivisions: int = 2,
-    device: str | None = "cpu",
+    device: arguments.DeviceLike = "cpu",
     steps: str | os.PathLike[str] | None = None,
     evidence: bool = True,
     progress=None,
