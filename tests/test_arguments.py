@@ -882,6 +882,30 @@ def test_a_device_is_a_name_or_such_an_object_of_warp_or_torch():
 
 
 @pytest.mark.parametrize("name", ["Trajectory", "Deployment", "JointPath"])
+def test_what_no_file_is_called_is_refused_by_the_name_of_the_call(name):
+    one = made()[name]
+    for wrong in (3, None, b"a.npz", ["a"], "a\0b"):
+        for call in (one.save, type(one).load):
+            with pytest.raises(WrodError, match=rf"^{name}\.(save|load): path is"):
+                call(wrong)
+
+
+def test_a_pattern_is_not_saved_as_what_it_could_not_be_read_from(tmp_path):
+    for suffix in ("npz", "NPY", "svg", "dxf"):
+        with pytest.raises(WrodError, match=r"give it the suffix \.csv"):
+            line().save(tmp_path / f"line.{suffix}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_tilde_is_the_home_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    path().save("~/made/path.npz")
+    assert len(wrod.Trajectory.load("~/made/path.npz")) == len(path())
+    assert [one.name for one in tmp_path.iterdir()] == ["home"]
+
+
+@pytest.mark.parametrize("name", ["Trajectory", "Deployment", "JointPath"])
 def test_nobody_changes_what_was_checked(name):
     kind, own = parts(made()[name])
     given = {key: np.array(v) if isinstance(v, np.ndarray) else v for key, v in own.items()}

@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib
+import os
 import sys
 import warnings
 from typing import NoReturn
@@ -78,6 +79,11 @@ class LazyGroup(click.Group):
             stop(ctx, error)
 
     def make_context(self, info_name, args, parent=None, **extra):
+        # Shells put the home folder for ~ at the beginning of a word alone.
+        args = [
+            "--out=" + os.path.expanduser(one[6:]) if one.startswith("--out=~") else one
+            for one in args
+        ]
         try:
             return super().make_context(info_name, args, parent, **extra)
         except click.UsageError as error:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod.arguments import checked
+from wrod.errors import DataError
 from wrod.files import check_arrays, read_fields, suffixed, write_npz
 from wrod.patterns.pattern import Pattern
 from wrod.records import brief, freeze
@@ -72,11 +74,13 @@ class Deployment:
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return {"format": _FORMAT} | {k: v for k, v in values.items() if v is not None}
 
+    @checked(DataError)
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything as an NPZ file (the suffix of `path` is replaced)."""
         return write_npz(suffixed(path, ".npz"), units="SI: m, N, s", **self._present())
 
     @classmethod
+    @checked(DataError)
     def load(cls, path: str | os.PathLike[str]) -> Deployment:
         """Read what `save` wrote.
 

@@ -35,7 +35,7 @@ def checked_path(
     error: type[WrodError] = DataError,
     limit: int | None = None,
 ) -> Path:
-    """`path`, if a regular file of at most `limit` bytes stands there.
+    """`path`, if a regular file of at most `limit` bytes stands there; ~ is the home folder.
 
     Args:
         path: the file.
@@ -48,7 +48,7 @@ def checked_path(
             it is too large or may not be read.
     """
     try:
-        name = os.fspath(path)
+        name = os.path.expanduser(os.fspath(path))
         path = str.__str__(name) if isinstance(name, str) else path  # a subclass may say otherwise
         found = os.stat(name)
     except FileNotFoundError:
@@ -66,7 +66,7 @@ def checked_path(
         )
     if not os.access(name, os.R_OK):
         raise error(f"{path}: may not be read; change its permissions")
-    return Path(path)
+    return Path(name)
 
 
 def read_bytes(

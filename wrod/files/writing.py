@@ -34,13 +34,14 @@ def write_atomically(
     """Call `write(file)` on a temporary file beside `path`, then move it there.
 
     A reader, or a process killed half-way, never sees a half-written file. `finished` knows of it.
-    What a link points to is written, the link stays. What a killed process left beside it goes.
+    What a link points to is written, the link stays; ~ is the home folder. What a killed process
+    left beside it goes.
 
     Raises:
         DataError: a folder, device, pipe or socket stands there, or a file that the command reads.
         OSError: it cannot be written.
     """
-    path = Path(os.path.realpath(path))
+    path = Path(os.path.realpath(os.path.expanduser(path)))
     refuse_no_file(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     _sweep(path.parent)
@@ -101,12 +102,11 @@ def _sweep(folder: Path) -> None:
                 os.close(handle)
 
 
-@arguments.checked(DataError)
 def suffixed(path: str | os.PathLike[str], suffix: str) -> Path:
     """The path with that suffix in place of its own.
 
     Raises:
-        DataError: it is no path, or names no file.
+        DataError: it names no file.
     """
     try:
         return Path(path).with_suffix(suffix)

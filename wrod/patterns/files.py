@@ -11,6 +11,8 @@ import numpy as np
 from wrod.errors import PatternError
 from wrod.files import check_arrays, checked_path, read_arrays, read_text
 
+# Suffixes of points that are read as NumPy's arrays.
+NUMPY = (".npy", ".npz")
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 _UNIT_WORDS = {
     "metre": "m", "metres": "m", "meter": "m", "meters": "m",
@@ -70,7 +72,7 @@ def read_points(path: str | os.PathLike[str]) -> RawPoints:
         PatternError: the file is missing, unreadable or holds no table of points.
     """
     path = checked_path(path, "a file of points or a built-in pattern", error=PatternError)
-    if path.suffix.lower() in (".npy", ".npz"):
+    if path.suffix.lower() in NUMPY:
         return _read_numpy(path)
     return _read_text(path)
 

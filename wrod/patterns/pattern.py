@@ -20,7 +20,14 @@ from wrod.patterns.curve import heading_of_curve, integrate_heading, lead_in
 from wrod.patterns.drawings import EXACT, read_drawing
 from wrod.patterns.drawings import SUFFIXES as DRAWINGS
 from wrod.patterns.expressions import compile_expression, value_of
-from wrod.patterns.files import RawPoints, checked_points, read_points, refuse_spikes, unit_scale
+from wrod.patterns.files import (
+    NUMPY,
+    RawPoints,
+    checked_points,
+    read_points,
+    refuse_spikes,
+    unit_scale,
+)
 from wrod.patterns.smoothing import fit_heading
 from wrod.records import frozen
 
@@ -389,7 +396,14 @@ class Pattern:
 
     @arguments.checked(PatternError, spacing=arguments.number(1e-6, 1e3))
     def save(self, path: str | os.PathLike[str], spacing: float = 0.001) -> Path:
-        """Write points along the pattern (without a remainder) as CSV that `load` reads."""
+        """Write points along the pattern (without a remainder) as CSV that `load` reads.
+
+        Raises:
+            PatternError: `path` has the suffix of another kind of file.
+        """
+        suffix = Path(os.path.expanduser(path)).suffix.lower()
+        if suffix in (*DRAWINGS, *NUMPY):
+            raise PatternError(f"{path}: is not for a table of points; give it the suffix .csv")
         count = max(int(np.ceil(self.length / spacing)), 8) + 1
         position, _, _ = self.sample(np.linspace(0.0, self.length, count))
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.arguments import number, shown
+from wrod.arguments import checked, number, shown
 from wrod.errors import DataError, RodError
 from wrod.files import (
     check_arrays,
@@ -143,6 +143,7 @@ class Trajectory:
         """(T,) the pattern's own arc length at the contact [m]; negative on the remainder."""
         return self.arc_length - self.remainder_length
 
+    @checked(DataError)
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write `path` as CSV and NPZ (the suffix of `path` is replaced). Returns both paths.
 
@@ -181,6 +182,7 @@ class Trajectory:
         ]  # fmt: skip
 
     @classmethod
+    @checked(DataError)
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
         """Read a trajectory's NPZ file.
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.arguments import shown
+from wrod.arguments import checked, shown
 from wrod.errors import DataError
 from wrod.files import (
     check_arrays,
@@ -158,6 +158,7 @@ class JointPath:
         grasped = next(phase["end"] for phase in self.phases if phase["name"] == "grasp")
         return self.stand_stays or time <= grasped + 1e-9
 
+    @checked(DataError)
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write `path` as CSV (fixed rate) and NPZ (also the nodes). Returns both paths."""
         csv, content = suffixed(path, ".csv"), self._arrays()
@@ -170,6 +171,7 @@ class JointPath:
         ]
 
     @classmethod
+    @checked(DataError)
     def load(cls, path: str | os.PathLike[str], robot: Robot | None = None) -> JointPath:
         """Read a joint path's NPZ file.
 
