@@ -210,6 +210,12 @@ def test_rod_longer_than_is_solved_is_refused_in_metres():
             wrod.plan(wrod.pattern("line"), rod, method)
 
 
+def test_rod_too_thick_for_its_stiffness_is_refused_by_its_own_numbers():
+    thick = replace(wrod.rod("green-vps"), radius=0.01)
+    with pytest.raises(RodError, match=r"too thick .* radius of 0\.01 m .*from 50 to 1e\+07"):
+        wrod.plan(wrod.pattern("line"), thick)
+
+
 def test_bend_beyond_what_is_solved_is_refused_in_units_of_the_pattern():
     stiff = wrod.RodMaterial(0.001, 0.3, 1.5)
     with pytest.raises(PatternError, match=r"20 1/m at s = .*the 16\.7 1/m \(5 / L_gb\).*round it"):

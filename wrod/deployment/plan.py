@@ -103,7 +103,7 @@ def plan(
         of its natural curvature that a grasp of a varying rod was made with (`grasps.relaxed`).
 
     Raises:
-        PatternError: less than 1 L_gb is left suspended, or bends are too tight for rod or grasps.
+        PatternError, RodError: under 1 L_gb is left hanging, bends are too tight, a rod too thick.
         GraspError: unknown method, friction for the intuitive one, a grasp that did not converge
             (names node and inputs), or a controller that was made for another rod.
 

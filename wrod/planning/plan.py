@@ -21,7 +21,7 @@ from wrod.planning.reservations import (
     refuse_tight_bends,
     refuse_unconverged,
     refuse_unsolved_bends,
-    refuse_unsolved_length,
+    refuse_unsolved_rod,
     warn_relaxed,
     warn_unstable,
 )
@@ -78,7 +78,7 @@ def plan_grasps(
     if method != "intuitive":
         refuse_unsolved_bends(pattern, rod, s, curvature)
     if method not in ("intuitive", "neural"):  # a controller goes on beyond, with a warning
-        refuse_unsolved_length(pattern, rod)
+        refuse_unsolved_rod(rod)
     roll = roll_angle(roll, pattern, rod, controller is not None)
     inputs = GraspInputs.of(
         rod, rod.length - (s - s[0]), curvature,

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 
-from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
+from wrod.errors import GraspError, PatternError, RodError, StabilityWarning, WrodWarning
 from wrod.grasps.mesh import WEIGHT
 from wrod.grasps.results import LIMITS, Grasps
 from wrod.patterns.pattern import Pattern
@@ -27,15 +27,25 @@ def refuse_tight_bends(pattern: Pattern, rod: RodModel | RodMaterial) -> None:
         raise _too_tight(pattern, curvature, at, f"the rod's own radius of {rod.radius:g} m")
 
 
-def refuse_unsolved_length(pattern: Pattern, rod: RodModel | RodMaterial) -> None:
-    """Refuse rods of which more hangs than grasps are solved for."""
+def refuse_unsolved_rod(rod: RodModel | RodMaterial) -> None:
+    """Refuse rods of which more hangs than grasps are solved for, and ones too thick or thin."""
     longest = LIMITS["suspended_length"][1]
-    hangs = longest * rod.gravito_bending_length
+    lgb = rod.gravito_bending_length
+    hangs = longest * lgb
     if rod.length > hangs:
         raise PatternError(
-            f"{pattern.source}: of a rod of {rod.length:.4g} m grasps are solved up to the "
-            f"{hangs:.3g} m ({longest:g} L_gb) that may hang from the hand; let the hand hold it "
-            "nearer, with that as its length, or lay the pattern in pieces"
+            f"of a rod of {rod.length:.4g} m grasps are solved up to the {hangs:.3g} m "
+            f"({longest:g} L_gb) that may hang from the hand; check its length, its L_gb of "
+            f"{lgb:.3g} m and their units, or let the hand hold it nearer, with that as its "
+            "length, or lay the pattern in pieces"
+        )
+    low, high = LIMITS["stretch_ratio"]
+    if not low <= rod.stretch_ratio <= high:
+        raise RodError(
+            f"the rod is too {'thick' if rod.stretch_ratio < low else 'thin'} for its stiffness: "
+            f"with a radius of {rod.radius:.3g} m and an L_gb of {lgb:.3g} m "
+            f"its stretch ratio is {rod.stretch_ratio:.3g}, and grasps are solved from {low:g} to "
+            f"{high:g}; check both numbers and their units"
         )
 
 
@@ -53,8 +63,8 @@ def refuse_unsolved_bends(
 def _too_tight(pattern: Pattern, curvature: float, at: float, than: str) -> PatternError:
     return PatternError(
         f"{pattern.source}: has a curvature of {curvature:.3g} 1/m at s = {at:.3f} m, tighter than "
-        f"{than}; make it larger, or round it as `wrod plan` does "
-        "(wrod.patterns.rounding.round_corners)"
+        f"{than}; make it larger, check the rod's numbers and their units, or round it as "
+        "`wrod plan` does (wrod.patterns.rounding.round_corners)"
     )
 
 
