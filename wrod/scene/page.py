@@ -250,7 +250,7 @@ def _captions(server, trajectory, joint_path, captions, placement, seen: np.ndar
         *(captions or []),
     ]
     step = _LINE * float(np.ptp(seen, axis=0).max())
-    over = np.append(trajectory.contact.mean(0)[:2], seen[:, 2].max())
+    over = np.append((seen.min(0) + seen.max(0))[:2] / 2, seen[:, 2].max())
     places = over + step * np.arange(len(said), 0, -1)[:, None] * [0.0, 0.0, 1.0]
     labels = [
         server.scene.add_label(
