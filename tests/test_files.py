@@ -1,5 +1,6 @@
 """The reader of everything that users hand over: what it takes, and what it refuses in time."""
 
+import gzip
 import json
 import os
 import re
@@ -113,6 +114,8 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path):
         ("{}".encode("utf-16"), "UTF-16; save it as UTF-8"),
         (b'{\n"a": "\xff"}', "line 2: is not a readable text file"),
         (b"\0\0\0", "zero bytes"),
+        (gzip.compress(b"{}"), r"is compressed \(gzip\); unpack it"),
+        (b"PK\x03\x04\x14\x00", "save the table as CSV"),
     ],
 )
 def test_encodings(tmp_path, content, says):

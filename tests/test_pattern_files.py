@@ -102,6 +102,7 @@ def test_bad_points_are_named_by_file_and_line(tmp_path, points, says):
         ("0 0\n0.1x 0\n0.2 0.1\n", "line 2: '0.1x 0' is not a row of numbers"),
         ("0 0\n0.1 0 5\n0.2 0.1\n", "line 2: holds 3 numbers, 2 are expected"),
         ("1\n2\n3\n", "line 1: holds 1 numbers"),
+        ("0 0 0 1\n1 0.1 0 1\n2 0.2 0 1\n", "line 1: holds 4 columns without names"),
         ("x [furlong] y [furlong]\n0 0\n1 0\n2 1\n", "unknown units 'furlong'"),
         ("x [mm] y [cm]\n0 0\n1 0\n2 1\n", "line 1: the columns have different units"),
     ],

@@ -175,6 +175,11 @@ def test_sheet_and_scale_give_metres(layout):
     assert scaled.length == pytest.approx(arc_length(wave())[-1], rel=0.005)
 
 
+def test_a_scale_in_millimetres_is_refused():
+    with pytest.raises(PerceptionError, match=r"picture 200 m wide.*check the scale's unit"):
+        wrod.scan(np.full((600, 800), 255, np.uint8), scale=0.25)
+
+
 def test_a_sheet_is_found_with_a_shadow_over_its_edge(layout):
     camera = TopCamera((WIDTH / 2, HEIGHT / 2, 0.5), (WIDTH / 2, HEIGHT / 2, 0), focal_length=1500)
     picture = drawing(camera, MarkerLayout({}, (WIDTH, HEIGHT)), wave(), table=(150, 125, 95))

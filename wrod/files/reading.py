@@ -21,6 +21,16 @@ MIB = 2**20
 MAX_TEXT = 64 * MIB
 # Nor JSON files: scenes, rods, cameras and plans have a few kB.
 MAX_JSON = 4 * MIB
+# What files begin with that are no text, and what they are.
+_PACKED = {
+    b"\x1f\x8b": "compressed (gzip); unpack it",
+    b"BZh": "compressed (bzip2); unpack it",
+    b"\xfd7zXZ": "compressed (xz); unpack it",
+    b"PK\x03\x04": "a zip archive or a spreadsheet; unpack it, or save the table as CSV",
+    b"\xd0\xcf\x11\xe0": "a spreadsheet or a document; save the table as CSV",
+    b"%PDF": "a PDF; save what it shows as a picture or a drawing",
+    b"\x89HDF": "HDF5; save its table as CSV or NPZ",
+}
 # Whole numbers beyond these are not numbers of this field (2^53, exact in float64).
 _MAX_INTEGER = 2**53
 _DEEPEST = 32
@@ -101,6 +111,9 @@ def read_text(
         WrodError: of type `error`: as `checked_path`, or it is in another encoding or no text.
     """
     content = read_bytes(path, what, error=error, limit=limit)
+    for start, kind in _PACKED.items():
+        if content.startswith(start):
+            raise error(f"{path}: is {kind}")
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise error(f"{path}: is in UTF-16; save it as UTF-8")
     try:

@@ -144,6 +144,11 @@ def _read_text(path: Path) -> RawPoints:
             f"{path}, line {lines[0]}: {count} whole numbers between commas look like {count // 2} "
             "with decimal commas; write decimal points, or put semicolons between the columns"
         )
+    if not named and count > 3:
+        raise PatternError(
+            f"{path}, line {lines[0]}: holds {count} columns without names; say which are "
+            "coordinates in a first line (index, x, y)"
+        )
     points = np.array(rows, dtype=float)
     if not named and count == 3 and np.ptp(points[:, 2]) and (np.diff(points[:, 0]) == 1.0).all():
         raise PatternError(

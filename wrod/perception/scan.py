@@ -25,6 +25,7 @@ PATTERN_POINTS = 400
 _LEAST_SHARE, _LEAST_NOISE = 0.03, 5e-5
 # Ends of two curves meet within so many of their radii together.
 _MEET = 4.0
+_WIDEST = 100.0  # [m] of a picture
 CORNERS = ("lower-left", "lower-right", "upper-left", "upper-right")
 
 
@@ -282,6 +283,12 @@ def _plane(picture, markers, sheet, scale, camera) -> tuple[SeenPlane | None, np
         plane = SeenPlane.from_sheet(picture, sheet, camera)
         return plane, _sheet_region(plane, sheet, picture.shape[:2])
     if scale is not None:
+        wide = scale * max(picture.shape[:2])
+        if wide > _WIDEST:
+            raise PerceptionError(
+                f"a scale of {scale:g} m per pixel makes the picture {wide:.3g} m wide; no table "
+                f"is over {_WIDEST:g} m, so check the scale's unit"
+            )
         return SeenPlane.from_scale(scale, picture.shape[0], camera), None
     return None, None
 
