@@ -593,6 +593,11 @@ CALLS = {
             keeps_recording=False,
         ),
     ),
+    "Dynamics.of": lambda: (
+        wrod.Dynamics.of,
+        dict(rods=[rod_model()], batch=free(rods()), clamped=(False, True), air_damping=1.0,
+             internal_damping=0.01, scheme="bdf2"),
+    ),
     "Dynamics.relax": lambda: (
         wrod.Dynamics(free(rods()), radius=0.001, internal_damping=0.1).relax,
         dict(time=0.1),

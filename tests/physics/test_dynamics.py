@@ -10,7 +10,6 @@ from vps import momenta
 
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
-from wrod.rods.discretisation import quadratic_drag
 from wrod.rods.model import RodModel
 from wrod.rods.state import full_hessian
 from wrod.solvers.contact import Contact
@@ -241,15 +240,13 @@ def test_free_fall_with_quadratic_drag():
     line = np.zeros((1, 5, 3))
     line[0, :, 0] = s
     batch = RodBatch.of(rod, s, line)
-    drag = quadratic_drag(rod, s)
-    assert drag.sum() == pytest.approx(q * 0.02 * length)
-    dynamics = Dynamics(batch, scheme="bdf2", radius=0.002)
-    dynamics.set_drag(drag)
+    dynamics = Dynamics.of(rod, batch, scheme="bdf2")
+    assert dynamics.drag.numpy().sum() == pytest.approx(q * 0.02 * length)
     dynamics.advance(0.4, 0.002)
     terminal = np.sqrt(g / q)
     expected = -terminal * np.tanh(g * 0.4 / terminal)
     assert dynamics.velocities()[0, :, 2] == pytest.approx(np.full(5, expected), rel=1e-4)
-    assert quadratic_drag(replace(rod, quadratic_drag=0.0), s) is None
+    assert Dynamics.of(replace(rod, quadratic_drag=0.0), batch).drag is None
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

@@ -1,8 +1,6 @@
 """From trials of deployments to batches of rods, tables and steps."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,8 +11,7 @@ from wrod.deployment.grip_path import GripMotion
 from wrod.deployment.setup import Setup
 from wrod.deployment.trial import Trial
 from wrod.rods.batch import RodBatch
-from wrod.rods.discretisation import directors_at_rest, quadratic_drag
-from wrod.rods.material import RodMaterial
+from wrod.rods.discretisation import directors_at_rest
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import Dynamics
@@ -29,12 +26,12 @@ _SINKING_AT_POSTS = _SINKING / 10.0
 # this factor an iteration: where nodes come to stick, slide or touch in turn half the step is
 # sooner there. Tight ones go on, lest rods that differ by next to nothing are laid in other steps.
 _LOOSE, _SHRINKS = 1e-4, 4.0
-# Of rods that say nothing of it, which swing for seconds otherwise [1/s].
-_AIR_DAMPING = 1.0
 # Kelvin-Voigt time of rods that nobody has shaken: three recorded cables have 53 to 78 ms
 # (docs/identification-motion.md). Undamped, what shakes goes on shaking, and where it lies depends
 # on the steps down to a millisecond (docs/deployment.md) [s].
 INTERNAL_DAMPING = 0.065
+# Of rods that say nothing of it, which swing for seconds otherwise [1/s, s].
+USUAL_DAMPING = {"air_damping": 1.0, "internal_damping": INTERNAL_DAMPING}
 
 
 def assemble(
@@ -69,11 +66,12 @@ def assemble(
         friction_field=friction_field,
         passive=np.arange(batch.node_count) >= np.full((len(rods), 1), batch.node_count - ghosts),
     )
-    dynamics = Dynamics(
+    dynamics = Dynamics.of(
+        rods,
         batch,
+        clamped=(False, ghosts > 0),
+        **USUAL_DAMPING,
         scheme=discretisation.scheme,
-        radius=radius,
-        **damping(rods),
         contact=contact,
         motion=GripMotion(
             batch, [setup.schedule for setup in setups], [rod.principal_angle for rod in rods]
@@ -82,32 +80,9 @@ def assemble(
         tolerance=discretisation.tolerance,
         keeps_recording=keeps_recording,
     )
-    dynamics.relax(relaxation(rods))
     if discretisation.tolerance >= _LOOSE:
         dynamics.shrinks = _SHRINKS
-    drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
-    if drag is not None:
-        dynamics.set_drag(np.pad(drag, ((0, 0), (0, ghosts), (0, 0))))
     return batch, contact, dynamics
-
-
-def damping(rods: Sequence[RodModel | RodMaterial]) -> dict[str, Any]:
-    """(rod,) arguments of `Dynamics`: what the rods say, or what is taken for them."""
-    models = [RodModel.of(rod) for rod in rods]
-    return {
-        "air_damping": np.array([rod.air_damping or _AIR_DAMPING for rod in models]),
-        "internal_damping": np.array(
-            [
-                INTERNAL_DAMPING if rod.internal_damping is None else rod.internal_damping
-                for rod in models
-            ]
-        ),
-    }
-
-
-def relaxation(rods: Sequence[RodModel | RodMaterial]) -> np.ndarray:
-    """(rod,) of `Dynamics.relax` [s]."""
-    return np.array([RodModel.of(rod).relaxation_time for rod in rods])
 
 
 def _stiffness(rods: list[RodModel], fixtures: list[Fixtures | None]) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from scipy.interpolate import CubicSpline
 
-from wrod.deployment.assembly import damping, relaxation
+from wrod.deployment.assembly import USUAL_DAMPING
 from wrod.patterns.curve import arc_length
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import directors_at_rest
@@ -48,16 +48,15 @@ def left_alone(
     batch = RodBatch.of(rods, arc_length, position, director=director, device=device)
     sides = np.array([RodModel.of(rod).has_sides for rod in rods])
     contact = Contact(batch, radius, weight / (_SINKING * radius), friction, keeps_roll=sides)
-    dynamics = Dynamics(
+    dynamics = Dynamics.of(
+        rods,
         batch,
-        radius=radius,
-        **damping(rods),
+        **USUAL_DAMPING,
         contact=contact,
         force_scale=weight * np.array([rod.gravito_bending_length for rod in rods]),
         tolerance=1e-5,
         keeps_recording=device == "cpu",  # as in `wrod.deployment.tangents.lay`
     )
-    dynamics.relax(relaxation(rods))
     return batch, dynamics
 
 

@@ -120,7 +120,7 @@ def motion_example(rod: RodMaterial | RodModel = _CABLE, seed: int = 0) -> dict[
     if not EquilibriumSolver(batch).solve(ramp_loads=True).converged.all():
         raise DataError("the example's cable found no equilibrium; use another seed")
     batch.gravity.assign(down)
-    moving = Dynamics(batch, scheme="bdf2", radius=rod.radius, internal_damping=_DAMPING)
+    moving = Dynamics.of(rod, batch, scheme="bdf2", internal_damping=_DAMPING)
     shown = [0, *range(1, len(s) - 1, fine), len(s) - 1]
     positions = []
     for frame in range(_FRAMES):

@@ -20,6 +20,8 @@ from wrod.rods.arrays import BatchArrays
 from wrod.rods.device import resolve_device
 from wrod.rods.state import Derivatives, RodState, node_positions
 
+IS_ROD = arguments.like("a wrod.RodModel or wrod.RodMaterial", "radius", "length")
+
 
 class RodBatch(BatchArrays):
     """Many rods of one node count; everything else may differ from rod to rod.
@@ -123,9 +125,7 @@ class RodBatch(BatchArrays):
     @classmethod
     @arguments.checked(
         RodError,
-        rods=arguments.each(
-            arguments.like("a wrod.RodModel or wrod.RodMaterial", "radius", "length")
-        ),
+        rods=arguments.each(IS_ROD),
         arc_length=arguments.array((None,), (None, None)),
         position=arguments.array((None, None, 3)),
         clamped=arguments.several(arguments.flag, least=2),
@@ -148,7 +148,7 @@ class RodBatch(BatchArrays):
     ) -> RodBatch:
         """Put rods on meshes; see `wrod.rods.discretisation`.
 
-        What brakes them, inside and by air, is no energy: give it to `wrod.Dynamics`.
+        What brakes them, inside and by air, is no energy: `wrod.Dynamics.of` takes it from them.
 
         Args:
             rods: a `RodModel` or `RodMaterial` for all rows, or one for each.

@@ -129,17 +129,28 @@ def end_to_end(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return out
 
 
-def quadratic_drag(rods: Rod | Sequence[Rod], arc_length: np.ndarray) -> np.ndarray | None:
+def damping(
+    models: Sequence[RodModel], air_damping: float, internal_damping: float
+) -> dict[str, np.ndarray]:
+    """(rod,) radius, air_damping and internal_damping as `Dynamics` takes them; the numbers are for
+    rods that say nothing of it."""
+    inside = [m.internal_damping for m in models]
+    return {
+        "radius": np.array([m.radius for m in models]),
+        "air_damping": np.array([m.air_damping or air_damping for m in models]),
+        "internal_damping": np.array([internal_damping if b is None else b for b in inside]),
+    }
+
+
+def quadratic_drag(models: Sequence[RodModel], edge: np.ndarray) -> np.ndarray | None:
     """(rod, node, 2) drag of nodes as `Dynamics.set_drag` takes it, per velocity squared [kg/m], of
-    rods on meshes as `mesh_arrays` takes them; None where no rod has any.
+    rods with edges of these unstretched lengths (rod, edge) [m]; None where no rod has any.
 
     Air does not feel what the rod weighs where: the drag per mean line mass is that of every piece.
     """
-    models = models_of(rods)
     drag = np.array([m.quadratic_drag * m.weight / m.gravity for m in models])
     if not drag.any():
         return None
-    edge = np.diff(np.atleast_2d(np.asarray(arc_length, dtype=np.float64)), axis=1)
     return (drag[:, None] * cells(edge))[..., None] * [0.0, 1.0]
 
 

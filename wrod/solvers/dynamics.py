@@ -1,7 +1,6 @@
 """Motion of batches of rods: implicit time steps, each rod at its own pace."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -9,7 +8,8 @@ import warp as wp
 from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.stepping import pace
-from wrod.rods.batch import RodBatch
+from wrod.rods.batch import IS_ROD, RodBatch
+from wrod.rods.discretisation import damping, models_of, quadratic_drag
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.condensed import paired_system
@@ -19,7 +19,7 @@ from wrod.solvers.newton_steps import Follower, NewtonSteps, Touching
 from wrod.solvers.readback import read
 from wrod.solvers.recording import launching, record, replay
 from wrod.solvers.rod_contact import RodContact
-from wrod.solvers.steps import SCHEMES, Motion
+from wrod.solvers.steps import SCHEMES, Motion, Progress
 from wrod.solvers.viscosity import Viscosity
 
 # A rod is cut out when it wants steps shorter than this fraction of the largest.
@@ -27,24 +27,6 @@ _SMALLEST_STEP = 1.0 / 4096.0
 # Rounds that are taken without looking whether to go on: on end where a device decides by itself,
 # and one after the other where it cannot.
 _ROUNDS, _ROUNDS_BLIND, _ENDLESS = 128, 16, 2**31 - 1
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a call of `Dynamics.advance` got, rod by rod (NumPy).
-
-    Attributes:
-        time: (rod,) time reached.
-        diverged: (rod,) whether the rod was cut out because no step converged; its state is the
-            last good one.
-        steps: (rod,) accepted steps since the start of the simulation.
-        iterations: (rod,) Newton iterations since then.
-    """
-
-    time: np.ndarray
-    diverged: np.ndarray
-    steps: np.ndarray
-    iterations: np.ndarray
 
 
 _IS_CONTACT = arguments.like("a wrod.Contact or wrod.RodContact", "add", "settle", "restart")
@@ -179,28 +161,49 @@ class Dynamics(NewtonSteps):
         self.keeps_recording = alone if keeps_recording is None else keeps_recording
         self._recording: tuple[tuple, object] | None = None
 
-    @arguments.checked(RodError, drag=arguments.numbers_of_any_shape)
-    def set_drag(self, drag: np.ndarray) -> None:
-        """Drag of each node per velocity, and per velocity squared, on top of `air_damping`:
-        (rod, node, 2), broadcast. The first time before the first step."""
-        shape = (self.batch.rod_count, self.batch.node_count, 2)
-        drag = np.ascontiguousarray(arguments.spread(drag, shape, "Dynamics: drag", RodError))
-        if self.drag is None:
-            self.drag = wp.zeros(shape[:2], dtype=wp.vec2d, device=self.batch.device)
-        self.drag.assign(drag)
+    @classmethod
+    @arguments.checked(
+        RodError,
+        rods=arguments.each(IS_ROD),
+        batch=arguments.like("a wrod.RodBatch", "rest_length", "rod_count"),
+        clamped=arguments.several(arguments.flag, least=2),
+        air_damping=arguments.number(0.0),
+        internal_damping=arguments.number(0.0),
+    )
+    def of(
+        cls,
+        rods,
+        batch: RodBatch,
+        *,
+        clamped: tuple[bool, bool] = (False, False),
+        air_damping: float = 0.0,
+        internal_damping: float = 0.0,
+        **options,
+    ) -> "Dynamics":
+        """Time stepping of rods that are braked, inside and by air, as their models say.
 
-    def energy(self) -> np.ndarray:
-        """(rod,) kinetic plus potential energy, without that of contacts."""
-        kinetic = 0.5 * np.sum(self.mass.numpy() * self.velocity.numpy() ** 2, axis=1)
-        if self.edge_mass is not None:
-            stretching = np.diff(self.velocities(), axis=1) ** 2
-            kinetic -= np.einsum("re,rek->r", self.edge_mass.numpy() / 12.0, stretching)
-        return kinetic + self.batch.evaluate(order=1).energy.numpy()
+        Args:
+            rods: a `RodModel` or `RodMaterial` for all rows, or one for each.
+            batch: made of them, as by `RodBatch.of`.
+            clamped: as there: the ghost of a clamp feels no air.
+            air_damping, internal_damping: of rods that say nothing of it [1/s, s].
+            options: other arguments of the constructor.
 
-    def contact_energy(self) -> np.ndarray:
-        """(rod,) elastic energy of what touches, shapes and rods, with that of its friction."""
-        stored = [contact.energy() for contact in self.contacts if hasattr(contact, "energy")]
-        return sum(stored, np.zeros(self.batch.rod_count))
+        Raises:
+            RodError: there are neither one nor as many rods as rows, or the constructor refuses.
+        """
+        models = models_of(rods)
+        models = models * batch.rod_count if len(models) == 1 else models
+        if len(models) != batch.rod_count:
+            raise RodError(f"{len(models)} rods and a batch of {batch.rod_count}; give one each")
+        made = cls(batch, **damping(models, air_damping, internal_damping), **options)
+        made.relax(np.array([m.relaxation_time for m in models]))
+        ghosts = tuple(map(int, clamped))
+        edge = batch.rest_length.numpy()
+        drag = quadratic_drag(models, edge[:, ghosts[0] : edge.shape[1] - ghosts[1]])
+        if drag is not None:
+            made.set_drag(np.pad(drag, ((0, 0), ghosts, (0, 0))))
+        return made
 
     def forget_recording(self) -> None:
         """Record afresh: what `motion` or contacts launch has changed."""

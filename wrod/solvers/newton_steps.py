@@ -96,6 +96,29 @@ class NewtonSteps(Steps):
         """
         self.viscosity.relax(time)
 
+    @arguments.checked(RodError, drag=arguments.numbers_of_any_shape)
+    def set_drag(self, drag: np.ndarray) -> None:
+        """Drag of each node per velocity, and per velocity squared, on top of `air_damping`:
+        (rod, node, 2), broadcast. The first time before the first step."""
+        shape = (self.batch.rod_count, self.batch.node_count, 2)
+        drag = np.ascontiguousarray(arguments.spread(drag, shape, "Dynamics: drag", RodError))
+        if self.drag is None:
+            self.drag = wp.zeros(shape[:2], dtype=wp.vec2d, device=self.batch.device)
+        self.drag.assign(drag)
+
+    def energy(self) -> np.ndarray:
+        """(rod,) kinetic plus potential energy, without that of contacts."""
+        kinetic = 0.5 * np.sum(self.mass.numpy() * self.velocity.numpy() ** 2, axis=1)
+        if self.edge_mass is not None:
+            stretching = np.diff(self.velocities(), axis=1) ** 2
+            kinetic -= np.einsum("re,rek->r", self.edge_mass.numpy() / 12.0, stretching)
+        return kinetic + self.batch.evaluate(order=1).energy.numpy()
+
+    def contact_energy(self) -> np.ndarray:
+        """(rod,) elastic energy of what touches, shapes and rods, with that of its friction."""
+        stored = [contact.energy() for contact in self.contacts if hasattr(contact, "energy")]
+        return sum(stored, np.zeros(self.batch.rod_count))
+
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
         must have its frames, and from `velocity`; one that was cut out takes part again."""

@@ -1,5 +1,6 @@
 """What a batch of rods carries from time step to time step."""
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,6 +25,24 @@ class Motion(Protocol):
     replayed."""
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a call of `Dynamics.advance` got, rod by rod (NumPy).
+
+    Attributes:
+        time: (rod,) time reached.
+        diverged: (rod,) whether the rod was cut out because no step converged; its state is the
+            last good one.
+        steps: (rod,) accepted steps since the start of the simulation.
+        iterations: (rod,) Newton iterations since then.
+    """
+
+    time: np.ndarray
+    diverged: np.ndarray
+    steps: np.ndarray
+    iterations: np.ndarray
 
 
 class Steps(OnDevice):
