@@ -12,7 +12,7 @@ from wrod.kernels.elastic import inelastic as kernels
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
 
 import wrod
-from wrod.errors import GraspError, RodError
+from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
 from wrod.rods.law import Dahl, Plastic, StandardLinearSolid, law_as_json, law_of
 from wrod.rods.model import RodModel
@@ -197,12 +197,6 @@ def test_laws_travel_in_files_and_units(tmp_path):
     ]:
         with pytest.raises(RodError):
             law_of(wrong)
-
-
-def test_grasps_refuse_a_rod_that_remembers():
-    model = RodModel(0.5, 1e-3, 7e-4, 900.0, 0.02, 0.002, law=Plastic(5.0, 0.1))
-    with pytest.raises(GraspError, match="remembers"):
-        wrod.solve_rod_grasps(model, [0.1], 1.0)
 
 
 def test_contributing_shows_an_energy_as_it_is():

@@ -30,10 +30,15 @@ def summary(figures: dict) -> str:
     if not {"optimised", "distilled"} & set(figures):
         lines.append("for no table in particular; --friction 0.3 or 0.2:0.6 corrects it for one")
     lines += [f"note: {note}" for note in figures["notes"]]
+    if "remembers" in figures:
+        lines.append(
+            f"grasps know how those before them left the rod bent (law {figures['remembers']})"
+        )
     if figures["twist"] is not None:
         first, last = (value / (2.0 * pi) for value in figures["twist"])
         lines.append(
-            "the rod has sides (it is bent at rest, or not round): lay it with its first director "
+            "the rod has sides (it is bent at rest, stays bent, or is not round): lay it with its "
+            "first director "
             f"{round(degrees(figures['roll']))} degrees from left towards up, twisted by "
             f"{first:.2f} turns between table and grip at first and by {last:.2f} in the end"
         )

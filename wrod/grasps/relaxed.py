@@ -6,7 +6,7 @@ that can hang there has a share of its natural curvature only; its grasp takes t
 place, and says so.
 """
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -34,10 +34,13 @@ def solve_relaxed(
     held = np.broadcast_to(np.asarray(held_roll, dtype=np.float64), arc_length.shape)
 
     def solve(share: np.ndarray, rows: np.ndarray) -> RodGrasps:
-        return solve_rod_grasps(
-            model, arc_length[rows], curvature[rows],
-            held_roll=held[rows], natural_share=share[rows], **options,
+        # Of a rod that remembers, those between the rows count as well.
+        given = rows if model.law.at_rest is not None else every
+        found = solve_rod_grasps(
+            model, arc_length[given], curvature[given],
+            held_roll=held[given], natural_share=np.minimum(share[given], 1.0), **options,
         )  # fmt: skip
+        return found if given is rows else _rows(found, rows)
 
     share, every = np.ones(len(arc_length)), np.arange(len(arc_length))
     grasps = solve(share, every)
@@ -66,6 +69,11 @@ def _smooth_below(bound: np.ndarray, at: np.ndarray, reach: float) -> np.ndarray
     near = np.abs(at[:, None] - at) <= reach
     least = np.where(near, bound, np.inf).min(axis=1)
     return near @ least / near.sum(axis=1)
+
+
+def _rows(grasps: RodGrasps, rows: np.ndarray) -> RodGrasps:
+    arrays = {n: value[rows] for n, value in vars(grasps).items() if isinstance(value, np.ndarray)}
+    return replace(grasps, **arrays)
 
 
 def _joined(grasps: RodGrasps, others: RodGrasps, rows: np.ndarray) -> RodGrasps:

@@ -6,30 +6,67 @@ sweep before found; then every material point goes through its curvatures once m
 no longer change the grips, moments are those of the law.
 """
 
+from __future__ import annotations
+
+from dataclasses import replace
+
 import numpy as np
 import warp as wp
 from scipy.interpolate import Akima1DInterpolator
 
-from wrod.grasps.general import RodArrays
+from wrod.errors import GraspError
+from wrod.grasps.general import RodArrays, solve_general
+from wrod.grasps.inputs import GraspOptions
 from wrod.kernels.elastic.inelastic import Inelastic
 from wrod.kernels.grasping.memory import follow_flow
 from wrod.rods.law import BendingLaw
 
 # Contacts are at most so far from each other [L_gb]: what happens to a point in between is a
 # straight way.
-CLOSE = 0.1
-# Grips that move less from sweep to sweep [L_gb] are found.
-_SAME, SWEEPS = 1e-5, 60
+_CLOSE = 0.1
+# Grips that move less from sweep to sweep [L_gb] are found; sweeps, and those after which they are
+# damped.
+_SAME, _SWEEPS, _LATE = 1e-5, 60, 20
 # Least stiffness of a linear rod that stands for one that yields, over that of the rod.
 _LEAST = 0.1
 
 
-def between(contact: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) the increasing contacts (n,) and so many evenly between them that none is farther than
-    `longest` from the next, and (n,) which of them were given."""
-    counts = np.maximum(np.ceil(np.diff(contact) / longest - 1e-9).astype(int), 1)
+def in_order(contact: np.ndarray, lgb: float) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) the contacts (n,) [m] and so many evenly between them that none is far from the one
+    before, and (n,) which of them were given.
+
+    Raises:
+        GraspError: they do not increase.
+    """
+    if not (np.diff(contact) > 0.0).all():
+        raise GraspError(
+            "the rod remembers how it was bent, so that its grasps depend on those before them; "
+            "give contacts in the order in which they are laid, each further along the rod"
+        )
+    counts = np.maximum(np.ceil(np.diff(contact) / (_CLOSE * lgb) - 1e-9).astype(int), 1)
     given = np.concatenate([[0], np.cumsum(counts)])
     return np.interp(np.arange(given[-1] + 1), given, contact), given
+
+
+def solve_in_order(
+    history: History, inputs: tuple, roll: np.ndarray, options: GraspOptions
+) -> dict[str, np.ndarray]:
+    """Fields of `Grasps` at all contacts of a history. What is not solved, or goes on changing from
+    sweep to sweep, has not converged.
+
+    Args:
+        inputs, roll, options: see `general.solve_general`.
+    """
+    coarse, fine = options.edge_count // 2, options.edge_count
+    sweep = replace(options, eigenvalues=False, shapes=False, curvatures=True)
+    for _ in range(_SWEEPS):
+        found = solve_general(*inputs, history.rods, roll, sweep)
+        bent = {coarse: found["coarse"], fine: found["fine"]}
+        if history.follow(found["position"], found["converged"], bent):
+            break
+    found = solve_general(*inputs, history.rods, roll, options)
+    found["converged"] = found["converged"] & history.settled
+    return found
 
 
 class History:
@@ -47,30 +84,37 @@ class History:
     ):
         self.law, self.contact, self.meshes = law.inelastic, contact, meshes
         end = contact[-1] + length[-1]
-        beyond = max(int(np.ceil(length[-1] / CLOSE)), 2)
+        beyond = max(int(np.ceil(length[-1] / _CLOSE)), 2)
         # Points that are all met by contacts at the same distances.
-        self._point = np.concatenate(
-            [contact, np.linspace(contact[-1], end, beyond + 1)[1:]]
-        )
+        self._point = np.concatenate([contact, np.linspace(contact[-1], end, beyond + 1)[1:]])
         self._rods = dict(meshes)
         self._grip: np.ndarray | None = None
+        self._bent: dict[int, np.ndarray] = {}
+        self._sweeps = 0
         self.settled = np.zeros(len(contact), dtype=bool)
 
     def rods(self, edges: int) -> RodArrays:
         """Linear rods that have the moments found last."""
         return self._rods[edges]
 
-    def follow(self, grip: np.ndarray, bent: dict[int, np.ndarray]) -> bool:
+    def follow(self, grip: np.ndarray, solved: np.ndarray, bent: dict[int, np.ndarray]) -> bool:
         """Go once more through the curvatures (n, node, 2) at the nodes of each mesh, where the
-        grips are at (n, 3); whether nothing changes any more."""
+        grips are at (n, 3), those of `solved` grasps; whether nothing changes any more."""
         if self._grip is not None:
-            moved = np.linalg.norm(grip - self._grip, axis=1)
+            moved = np.where(solved, np.linalg.norm(grip - self._grip, axis=1), 0.0)
             self.settled = np.maximum.accumulate(np.nan_to_num(moved, nan=np.inf)) < _SAME
         self._grip = grip
         if self.settled.all():
             return True
+        # Where there is no grasp, the rod hangs as it did before.
+        last = np.maximum.accumulate(np.where(solved, np.arange(len(solved)), 0))
+        self._sweeps += 1
         for edges, curvature in bent.items():
-            self._rods[edges] = self._gone_through(self.meshes[edges], curvature)
+            found = curvature[last]
+            if self._sweeps > _LATE:  # half of the way, where whole ones go to and fro
+                found = 0.5 * (found + self._bent[edges])
+            self._bent[edges] = found
+            self._rods[edges] = self._gone_through(self.meshes[edges], found)
         return False
 
     def _gone_through(self, rods: RodArrays, bent: np.ndarray) -> RodArrays:
@@ -97,7 +141,7 @@ class History:
         }
 
     def _before(self, node: np.ndarray, excess: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-        """(2, n, node, 2) excess and z of the nodes at the contact before theirs; 0 at the first's."""
+        """(2, n, node, 2) excess and z of nodes at the contact before theirs, 0 at the first."""
         points, count = self._point, len(node)
         path = np.zeros((count, len(points), 2))
         for i in range(count):

@@ -14,7 +14,7 @@ from wrod.grasps.general import RodArrays, solve_general
 from wrod.grasps.inputs import GraspOptions, check_inputs, closure_number
 from wrod.grasps.mesh import WEIGHT, two_sided_rest_lengths
 from wrod.grasps.optimal import EDGE_COUNT
-from wrod.grasps.remembering import CLOSE, SWEEPS, History, between
+from wrod.grasps.remembering import History, in_order, solve_in_order
 from wrod.grasps.results import Grasps, rows, same_rows
 from wrod.records import brief, checked_fields
 from wrod.rods.device import resolve_device
@@ -104,12 +104,16 @@ def solve_rod_grasps(
     closure: str = "zero_tension",
     held_roll: np.ndarray | float | None = None,
     natural_share: np.ndarray | float = 1.0,
-    device: arguments.DeviceLike = None,
+    device: str | None = None,
     edge_count: int = EDGE_COUNT,
     extrapolate: bool = True,
     threads: int | None = None,
 ) -> RodGrasps:
     """Optimal grasps of a rod held at its end, while it is laid from its beginning.
+
+    One that stays bent (`wrod.rods.law.Plastic`, `Dahl`) is laid through these contacts, in their
+    order: to the first it is bent from its natural shape, slowly and at once, and at each other one
+    it is what those before have left of it (`wrod.grasps.remembering`).
 
     Args:
         rod: a `RodModel` or a `RodMaterial`.
@@ -125,8 +129,8 @@ def solve_rod_grasps(
 
     Raises:
         GraspError: a contact is not on the rod, a value is not finite or, in L_gb, outside what can
-            be solved, an unknown closure, no `held_roll` of a rod that has sides, or the rod's
-            shape depends on how it was bent before.
+            be solved, an unknown closure, no `held_roll` of a rod that has sides, or contacts that
+            do not increase of a rod that remembers.
     """
     number = closure_number(closure)
     if edge_count < 16 or edge_count % 4:
@@ -137,7 +141,7 @@ def solve_rod_grasps(
     asked = _contacts(model, arc_length, curvature)
     contact, given = asked, np.arange(len(asked))
     if law.at_rest is None:
-        contact, given = _in_order(asked, model.gravito_bending_length)
+        contact, given = in_order(asked, model.gravito_bending_length)
     curvature, held_roll, natural_share = (
         value if np.size(value) <= 1 else np.interp(contact, asked, value)
         for value in (curvature, held_roll, natural_share)
@@ -166,39 +170,11 @@ def solve_rod_grasps(
     if law.at_rest is None:
         meshes = {edges: rods(edges) for edges in (edge_count // 2, edge_count)}
         history = History(law.scaled(lgb, 1.0), contact / lgb, length, meshes)
-        found = _settled(history, inputs, roll, options)
+        found = solve_in_order(history, inputs, roll, options)
     else:
         found = solve_general(*inputs, rods, roll, options)
     grasps = Grasps(**{name: value[given] for name, value in found.items()})
     return _in_si(grasps, contact[given], kappa[given], lgb, bending / lgb**2)
-
-
-def _settled(
-    history: History, inputs: tuple, roll: np.ndarray, options: GraspOptions
-) -> dict[str, np.ndarray]:
-    """Fields of `Grasps` of a rod that remembers, at all of its contacts; those that go on changing
-    have not converged."""
-    edges = options.edge_count
-    sweep = replace(options, eigenvalues=False, shapes=False, curvatures=True)
-    for _ in range(SWEEPS):
-        found = solve_general(*inputs, history.rods, roll, sweep)
-        bent = {edges // 2: found["coarse"], edges: found["fine"]}
-        if history.follow(found["position"], bent):
-            break
-    found = solve_general(*inputs, history.rods, roll, options)
-    found["converged"] = found["converged"] & history.settled
-    return found
-
-
-def _in_order(contact: np.ndarray, lgb: float) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) contacts of a rod that remembers [m], none far from the one before, and (n,) which of
-    them are asked for."""
-    if not (np.diff(contact) > 0.0).all():
-        raise GraspError(
-            "the rod remembers how it was bent, so that its grasps depend on those before them; "
-            "give contacts in the order in which they are laid, each further along the rod"
-        )
-    return between(contact, CLOSE * lgb)
 
 
 def _contacts(model: RodModel, arc_length, curvature) -> np.ndarray:

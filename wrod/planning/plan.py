@@ -176,9 +176,12 @@ def _trajectory(
     lgb, frame = rod.gravito_bending_length, contact_frame(tangent)
     force_unit = 2.0 * rod.weight * lgb
     shape = None if poses.shape is None else placed(poses.shape, contact, frame, lgb)
-    relaxed = {}
+    aside: dict[str, float | str] = {}
     if poses.natural_share is not None:
-        relaxed["natural_share"] = float(np.min(poses.natural_share))
+        aside["natural_share"] = float(np.min(poses.natural_share))
+    law = RodModel.of(rod).law
+    if law.at_rest is None and said["method"] != "intuitive":
+        aside["remembers"] = law.name
     return Trajectory(
         arc_length=laid,
         contact=contact,
@@ -197,7 +200,7 @@ def _trajectory(
             "contact_friction": _contact_friction(poses.force),
             "largest_curvature": float(np.max(np.abs(curvature))),
             "warnings": said["warnings"],
-            **relaxed,
+            **aside,
         },
         shape=shape,
         twist=poses.twist,
@@ -214,8 +217,10 @@ def favoured_closure(pattern: Pattern, rod: RodModel | RodMaterial) -> str:
     pattern both are the same grasps; in gentle bends both lay as well, and the second are the
     paper's. Evidence: `wrod bench slippery`, docs/deployment.md, and for naturally curved
     rods docs/loop.md. Of a rod curved by more than 0.3 / L_gb not all grasps exist that ask for the
-    least, and it gets "zero_tension".
+    least, and it gets "zero_tension"; so does one that stays bent.
     """
+    if RodModel.of(rod).law.at_rest is None:
+        return "zero_tension"
     s = np.linspace(-pattern.remainder_length, pattern.length, _COURSE_POINTS)
     lgb = rod.gravito_bending_length
     sharpest = np.max(np.abs(pattern.sample(s)[2])) * lgb

@@ -98,8 +98,8 @@ def with_spin(trajectory: Trajectory, rod: RodModel | RodMaterial, spin: float) 
         return trajectory
     if RodModel.of(rod).has_sides:
         raise GraspError(
-            "spin turns the rod about itself, and this one is curved at rest or bends more easily "
-            "to one side, so that it would lie elsewhere; leave spin out"
+            "spin turns the rod about itself, and this one is curved at rest, stays bent or bends "
+            "more easily to one side, so that it would lie elsewhere; leave spin out"
         )
     share = trajectory.arc_length / trajectory.arc_length[-1]
     turns = Rotation.from_rotvec(spin * share[:, None] * [1.0, 0.0, 0.0])

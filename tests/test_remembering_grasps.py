@@ -1,0 +1,113 @@
+"""Grasps and plans of rods that stay bent, against a continuous rod and their own deployments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import fsolve
+
+import wrod
+from wrod.errors import GraspError
+from wrod.grasps.mesh import WEIGHT
+from wrod.rods.law import Dahl, Linear, Plastic
+from wrod.rods.model_file import rod_as_json
+
+LGB = 0.032
+ROD = wrod.RodModel.of(wrod.RodMaterial(0.0016, LGB, 12.0 * LGB))
+
+
+def of_law(law, rod=ROD):
+    return replace(rod, law=law)
+
+
+def steady_grip(law, length, guess):
+    """(x, z) of the grip from the contact [L_gb] where a rod is laid along a straight line, and
+    what `fsolve` began with for the next: a point of the rod has been everywhere between grip and
+    contact, so that what it remembers is an integral along the shape from the grip on."""
+    curvature, kept = (1e9, 1.0) if isinstance(law, Linear) else law._values
+
+    def rates(s, y, lift):
+        angle, _, excess, lagging = y[2:]
+        rate = np.cos(angle) * (lift + WEIGHT * (length - s))
+        by = 1.0
+        if isinstance(law, Plastic) and abs(lagging) >= curvature and lagging * rate > 0.0:
+            by = 0.0
+        if isinstance(law, Dahl):
+            by = 1.0 - lagging / curvature * np.sign(rate)
+        bend = rate / (kept + (1.0 - kept) * by)
+        return [-np.cos(angle), -np.sin(angle), -excess, rate, bend, by * bend]
+
+    def shot(unknown):
+        start = [0.0, 0.0, 0.5 * np.pi - np.exp(unknown[0]), 0.0, 0.0, 0.0]
+        with_lift = (0.0, length), start, "RK45", None
+        return solve_ivp(rates, *with_lift, args=(unknown[1],), max_step=length / 400, rtol=1e-8,
+                         atol=1e-11).y[:, -1]  # fmt: skip
+
+    found = fsolve(lambda unknown: shot(unknown)[[2, 4]], guess, xtol=1e-9)
+    end = shot(found)
+    assert np.abs(end[[2, 4]]).max() < 1e-6
+    return -end[:2], found
+
+
+@pytest.mark.parametrize("law", [Plastic(0.3, 0.5), Dahl(0.3, 0.5)], ids=lambda law: law.name)
+def test_a_rod_laid_along_a_line_hangs_as_a_continuous_one_does(law):
+    contacts, length = [0.0, 6.0 * LGB], 6.0
+    linear, start = steady_grip(Linear(), length, [-4.3, -0.76])
+    exact = steady_grip(law, length, start)[0] - linear
+    stays = wrod.solve_rod_grasps(of_law(law.scaled(1.0 / LGB, 1.0)), contacts, 0.0, device="cpu")
+    straight = wrod.solve_rod_grasps(ROD, contacts, 0.0, device="cpu")
+    assert stays.converged.all()
+    here = (stays.position - straight.position)[1, [0, 2]] / LGB
+    # The continuous rod does not stretch, which the difference hardly feels.
+    np.testing.assert_allclose(here, exact, atol=1e-3)
+    assert np.abs(exact).min() > 0.05
+
+
+def test_a_rod_that_never_yields_hangs_as_a_linear_one():
+    contacts, curvature = np.linspace(0.0, 0.2, 9), np.linspace(0.0, 20.0, 9)
+    linear = wrod.solve_rod_grasps(ROD, contacts, curvature, device="cpu", edge_count=32)
+    wire = of_law(Plastic(60.0, 0.2))
+    stays = wrod.solve_rod_grasps(wire, contacts, curvature, device="cpu", edge_count=32)
+    np.testing.assert_allclose(stays.position, linear.position, atol=1e-10)
+    np.testing.assert_allclose(stays.rotation, linear.rotation, atol=1e-8)
+
+
+def test_grasps_converge_with_the_distance_of_contacts():
+    """Twice, and in a mirror."""
+    wire, how = of_law(Plastic(10.0, 0.4)), dict(device="cpu", edge_count=32)
+    contacts = np.linspace(0.0, 3.2 * LGB, 129)
+    curvature = 15.0 * np.sin(contacts / 0.03)
+    fine, less, least = (
+        wrod.solve_rod_grasps(wire, contacts[::k], curvature[::k], **how) for k in (1, 2, 4)
+    )
+    far, near = (
+        np.abs(one.position[::k] - fine.position[::4]).max()
+        for one, k in ((least, 1), (less, 2))
+    )  # fmt: skip
+    assert near < 0.5 * far < 0.01 * LGB
+    mirrored = wrod.solve_rod_grasps(wire, contacts[::4], -curvature[::4], **how)
+    np.testing.assert_allclose(mirrored.position, least.position * [1, -1, 1], atol=1e-8)
+
+
+def test_contacts_of_a_rod_that_remembers_are_in_order():
+    with pytest.raises(GraspError, match="in the order"):
+        wrod.solve_rod_grasps(of_law(Plastic(5.0, 0.1)), [0.1, 0.05], 1.0)
+
+
+@pytest.mark.parametrize("law", [Plastic(9.0, 0.4), Dahl(9.0, 0.5)], ids=lambda law: law.name)
+def test_a_plan_that_knows_what_stays_lays_it_better(law):
+    s = np.linspace(0.0, 0.2, 200)
+    heading = 0.7 * (1.0 + np.tanh((s - 0.12) / 0.03))
+    points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
+    pattern = wrod.Pattern.from_points(points)
+    rod = of_law(law)
+    how = dict(spacing=0.005, closure="zero_tension", device="cpu")
+    knows, plain = (wrod.plan(pattern, one, **how) for one in (rod, ROD))
+    assert knows.metadata["remembers"] == law.name and knows.metadata["solver"] == "rod solver"
+    plain = replace(plain, metadata=plain.metadata | {"rod": rod_as_json(rod)})
+    mesh = wrod.Discretisation(0.0075, 0.02)
+    trials = [wrod.Trial(pattern, rod, one, wrod.Friction(1.0)) for one in (knows, plain)]
+    better, worse = wrod.simulate_deployments(trials, speed=0.05, hold=0.02, discretisation=mesh)
+    assert not better.diverged
+    assert better.error_mean < 0.7 * worse.error_mean
