@@ -327,12 +327,14 @@ def test_rods_that_remember_are_laid(plans):
 
     pattern, by_method = plans
     laws = [Plastic(1e4, 0.1), Plastic(10.0, 0.0), StandardLinearSolid(0.5, 0.3)]
-    rods = [ROD, *(replace(wrod.RodModel.of(ROD), law=law) for law in laws)]
+    # What stays bent has sides, and friction holds its roll. So it does of this elastic rod.
+    rod = replace(wrod.RodModel.of(ROD), natural_curvature=(1e-9, 0.0))
+    rods = [rod, *(replace(rod, law=law) for law in laws)]
     jobs = [Trial(pattern, rod, by_method["numeric"], wrod.Friction(0.8)) for rod in rods]
     elastic, stiff, soft, relaxing = simulate_deployments(jobs, **QUICK)
     assert not any(d.diverged for d in (elastic, stiff, soft, relaxing))
     assert stiff.error_mean == pytest.approx(elastic.error_mean, rel=1e-3)
-    assert soft.error_mean > 10 * elastic.error_mean
+    assert np.linalg.norm(soft.centerline - elastic.centerline, axis=1).mean() > 1e-3
     assert relaxing.error_mean < 3 * elastic.error_mean
 
 
