@@ -11,6 +11,7 @@ from hidden import kept
 from test_clamped_noise import ARC, READINGS, TRIALS, columns
 
 from wrod.commands import main
+from wrod.identification.clamped.acceptance import too_little
 from wrod.identification.clamped.fit import fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
@@ -28,7 +29,6 @@ from wrod.identification.clamped.steps import (
     base_fit,
     extensions,
     instead_of_scatter,
-    too_little,
 )
 from wrod.identification.clamped.trace import KNOTS, ProbedProfile, trace
 from wrod.identification.clamped.verdict import LEFT_OVER, _looks_like

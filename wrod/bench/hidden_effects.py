@@ -95,8 +95,8 @@ def natural_helix(rng, rod):
     return Hidden(Experiment(curvature=turning), truth)
 
 
-def stiffness(rng, rod):
-    ratio = float(np.exp(_between(rng, 0.25, 0.5, either_sign=True)))
+def stiffness(rng, rod, log=(0.25, 0.5)):
+    ratio = float(np.exp(_between(rng, *log, either_sign=True)))
     experiment = Experiment(bending=constant(ratio, ratio), twisting=ratio, stretching=ratio)
     return Hidden(experiment, _vector("stiffness", ("stiffness_ratio",), [ratio]))
 
@@ -175,9 +175,9 @@ def softening_by_yield(rng, rod):
     return Hidden(Experiment(law=law), {"softening": {}})
 
 
-def point_mass(rng, rod):
+def point_mass(rng, rod, share=(0.12, 0.24)):
     whole = rod.weight / rod.gravity * rod.length
-    mass, place = _between(rng, 0.12, 0.24) * whole, _between(rng, 0.25, 0.75) * rod.length
+    mass, place = _between(rng, *share) * whole, _between(rng, 0.25, 0.75) * rod.length
     experiment = Experiment(mass=lambda s: mass * _bump(s, place, 0.002)[None])
     return Hidden(experiment, {"point_mass": {("mass",): (mass,), ("arc_length",): (place,)}})
 
@@ -200,8 +200,8 @@ def density(rng, rod):
     return Hidden(Experiment(mass=extra), _vector("density", ("density_ratio",), [ratio]))
 
 
-def gravity_tilt(rng, rod):
-    turn = np.radians(_in_plane(rng, 2.0, 4.0))
+def gravity_tilt(rng, rod, degrees=(2.0, 4.0)):
+    turn = np.radians(_in_plane(rng, *degrees))
     truth = _vector("gravity_tilt", ("tilt_x", "tilt_y"), turn)
     return Hidden(Experiment(gravity_turn=np.append(turn, 0.0)), truth)
 
@@ -221,8 +221,8 @@ def air_flow(rng, rod):
     return Hidden(Experiment(drag=force), truth)
 
 
-def grip_slip(rng, rod):
-    slip = _between(rng, 0.005, 0.009, either_sign=True)
+def grip_slip(rng, rod, metres=(0.005, 0.009)):
+    slip = _between(rng, *metres, either_sign=True)
     return Hidden(Experiment(slip=slip), _vector("grip_slip", ("slip",), [slip]))
 
 

@@ -70,6 +70,15 @@ PAIRS = (
     (hidden_in.density_profile, hidden_in.grip_rotation),
     (hidden_in.anisotropic_bending, hidden_in.gravity_tilt),
 )
+# A large effect, a small one beside it, and its sizes.
+SLIGHT = (
+    (hidden_in.point_mass, hidden_in.stiffness, (0.03, 0.09)),
+    (hidden_in.natural_curvature, hidden_in.stiffness, (0.03, 0.09)),
+    (hidden_in.stiffness, hidden_in.point_mass, (0.02, 0.05)),
+    (hidden_in.softening, hidden_in.point_mass, (0.02, 0.05)),
+    (hidden_in.natural_curvature, hidden_in.gravity_tilt, (0.3, 0.7)),
+    (hidden_in.gravity_tilt, hidden_in.grip_slip, (4e-4, 1e-3)),
+)
 BUILT: dict[str, Callable] = {
     f.__name__: f
     for f in (
@@ -109,7 +118,8 @@ def _combined(parts: list[Hidden]) -> Hidden:
 
 
 def cases() -> dict[str, Callable[[np.random.Generator, RodMaterial], Hidden]]:
-    """Every case by name: nothing (three rods), effects, pairs, quantities that change along the
+    """Every case by name: nothing (three rods), effects, pairs, small ones beside
+    large, quantities that change along the
     rod or from trial to trial, and what no plug-in covers."""
     pairs = {
         f"{a.__name__} + {b.__name__}": lambda rng, rod, a=a, b=b: _combined(
@@ -117,8 +127,14 @@ def cases() -> dict[str, Callable[[np.random.Generator, RodMaterial], Hidden]]:
         )
         for a, b in PAIRS
     }
+    slight = {
+        f"{a.__name__} + slight {b.__name__}": lambda rng, rod, a=a, b=b, size=size: _combined(
+            [a(rng, rod), b(rng, rod, size)]
+        )
+        for a, b, size in SLIGHT
+    }
     nothing = {f"none {k}": hidden_in.none for k in (1, 2, 3)}
-    return {**nothing, **KNOWN, **pairs, **BUILT, **PROFILES, **IN_ORDER, **UNCOVERED}
+    return {**nothing, **KNOWN, **pairs, **slight, **BUILT, **PROFILES, **IN_ORDER, **UNCOVERED}
 
 
 def hidden_set(name: str, seed: int, noise: str = "white") -> tuple[dict[str, np.ndarray], Hidden]:

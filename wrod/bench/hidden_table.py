@@ -238,6 +238,8 @@ def summary(rows: Sequence[dict]) -> list[str]:
             return "no plug-in covers it"
         if name in KNOWN:
             return "one effect"
+        if " + slight " in name:
+            return "a small one beside"
         return "two effects" if " + " in name else "nothing hidden"
 
     text = []
@@ -245,6 +247,7 @@ def summary(rows: Sequence[dict]) -> list[str]:
         "nothing hidden",
         "one effect",
         "two effects",
+        "a small one beside",
         "built from its print",
         "a profile along the rod",
         "changes in order",

@@ -22,6 +22,7 @@ from wrod.errors import DataError
 from wrod.identification.clamped.described import Described
 from wrod.identification.clamped.drift import Drift
 from wrod.identification.clamped.fit import Fit, fit_models
+from wrod.identification.clamped.held_out import held_out_error
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.memory import Memory
 from wrod.identification.clamped.noise import estimate
@@ -35,7 +36,7 @@ from wrod.identification.clamped.profiles import (
     root_of,
     told,
 )
-from wrod.identification.clamped.steps import has_profile, held_out_error, pruned, reordered
+from wrod.identification.clamped.steps import has_profile, pruned, reordered
 from wrod.identification.clamped.verdict import Round, changed_by
 from wrod.identification.effect import Effect, Estimate, Model
 
@@ -90,7 +91,7 @@ def refined(
 
     With a profile in it, the laboratory's noise is what that model leaves. What else a model may be
     is one with a profile about the effect at that place, or one with an effect more, behind the
-    last place, that was too little to name: for `in_doubt`.
+    last place, that was not sure enough to name: for `in_doubt`.
 
     Args:
         profiles: whether to weigh profiles at all.
@@ -126,8 +127,8 @@ def refined(
 
 
 def _refused(laboratory: Laboratory, final: Fit, rounds: list[Round]) -> dict[int, Fit]:
-    """By the place behind the last, the model with one effect more that was too little to name
-    (`judged`); nothing where there is none."""
+    """By the place behind the last, the model with one effect more that was not sure enough to
+    name (`acceptance`); nothing where there is none."""
     own, place = final.model.effects, len(final.model.effects)
     for step in reversed(rounds):
         effects = step.best.model.effects
@@ -283,6 +284,15 @@ def _expected(own: _Beside) -> tuple[np.ndarray, float, float]:
     return like, float(evidence), float(logsumexp(both) - evidence)
 
 
+def evidence_of_form(laboratory: Laboratory, fit: Fit, place: int) -> float:
+    """Log evidence that the quantity of the effect at a place of a model changes along the rod by
+    another law; none where it has no such quantity."""
+    kind = _kind_of(laboratory, fit.model.effects[place])
+    if kind is None:
+        return -np.inf
+    return _expected(_beside(laboratory, fit, place, kind))[1]
+
+
 def with_profile(
     laboratory: Laboratory, current: Fit, place: int, kind: str
 ) -> tuple[Fit | None, float, float]:
@@ -322,7 +332,7 @@ def _weighed(laboratory: Laboratory, poor: Fit, rich: Fit, log_odds, place) -> t
         reason = f"unseen trials are less likely with a profile, by {-ahead:.1f} nats"
     else:
         try:
-            error = held_out_error(laboratory, rich)[0]
+            error = held_out_error(laboratory, rich).rms
         except DataError:
             reason = "a trial held out has no equilibrium with it"
     said = f"the log evidence of a profile is {evidence:.1f}, held-out error {1e3 * error:.3f} mm"

@@ -1,14 +1,7 @@
 """Which effects the data ask for: forward selection, pairs, exchange, cross-validation.
 
-Stopping rule. An effect joins the model if it lowers the Bayesian information criterion of the
-train trials by `BIC_MARGIN` or more, takes away at least `LEAST_SHARE` of the base model's excess
-of squares or, where the error is still above the noise, half of what is left of it (an effect's law
-is never exactly the rod's: smaller gains would only mend its form), and lowers the squared error of
-trials held out in cross-validation. Where the base model has no excess, and none is hidden by
-scatter from trial to trial, the effect has to take as much as squares of noise vary by themselves.
-No model has more than `MOST_EFFECTS`, and where two effects leave more than half of the excess a
-third is not tried: what so many small effects mend is not theirs. What only takes too little is not
-named, and may be there all the same: errors that are told are those beside it.
+Stopping rule: `acceptance`. No model has more than `MOST_EFFECTS`, and where two effects leave more
+than half of the excess a third is not tried: what so many small effects mend is not theirs.
 
 Where no known effect reaches the noise, effects are built from profiles along the rod (`profiles`):
 a few numbers at one place that reach it by themselves are chosen among themselves, else all are
@@ -22,10 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.identification.clamped.acceptance import judged, kept, too_little
 from wrod.identification.clamped.clock import Clock, OutOfTime
 from wrod.identification.clamped.described import Described
 from wrod.identification.clamped.drift import with_drift
 from wrod.identification.clamped.fit import Fit, fit_models
+from wrod.identification.clamped.held_out import held_out_error
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.moment_law import MomentLaw, moment_law_of
 from wrod.identification.clamped.noise import NoiseModel, estimate
@@ -39,14 +34,11 @@ from wrod.identification.clamped.steps import (
     exchanged,
     extensions,
     has_profile,
-    held_out_error,
     instead_of_scatter,
-    judged,
     leaner,
     pairs_beside,
     pruned,
     reordered,
-    too_little,
 )
 from wrod.identification.clamped.verdict import (
     BIC_MARGIN,
@@ -77,7 +69,7 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, build: bool = Fa
     """
     try:
         current, rounds, held_out = _chosen(laboratory, candidates, build)
-        final = _polished(laboratory, current)
+        final = kept(laboratory, _polished(laboratory, current), rounds)
         final, held_out, doubts = refined(laboratory, final, rounds, held_out, build)
         laboratory.clock.extend()
         found = judge(laboratory, final, base_fit(laboratory), rounds, held_out, doubts)
@@ -102,7 +94,7 @@ def _so_far(laboratory: Laboratory) -> Selection:
     gains = [empty.bic - f.bic for f in alone]
     said = f"the time of {clock.seconds:g} s was over"
     rounds = [Round((), best, alone, gains, best.model.names or None, said)] if alone else []
-    before = held_out_error(laboratory, empty)[0]
+    before = held_out_error(laboratory, empty).rms
     try:
         found = judge(laboratory, best, empty, rounds, (before, None))
     except (DataError, OutOfTime):  # nor may shapes be led to it in time
@@ -232,7 +224,7 @@ def _or_drifting(laboratory: Laboratory, candidates, final: Fit, found: Selectio
             laboratory.refine(fits[0].model, fits[0].values)
             laboratory.set_noise(*estimate(laboratory, fits[0].model, fits[0].values))
             best = _weighed_anew(laboratory, fits[0])
-            steps, held_out = [*found.rounds, step], (base[0], ahead[0])
+            steps, held_out = [*found.rounds, step], (base.rms, ahead.rms)
             again = judge(laboratory, best, base_fit(laboratory), steps, held_out)
             if again.verdict == "explained" and again.fit.model.effects:
                 return again
@@ -262,11 +254,13 @@ def _or_built(laboratory: Laboratory, opening: _Opening, current: Fit, rounds, h
     fits = extensions(laboratory, empty, built, rival=current.chi_squared)
     if not fits or fits[0].bic > current.bic - BIC_MARGIN:
         return current, held_out
-    step, ahead = judged(laboratory, empty, empty, fits[0], fits, (np.inf, np.inf))
-    if step.accepted is None or ahead[1] >= held_out_error(laboratory, current)[1]:
+    before = held_out_error(laboratory, empty)
+    step, ahead = judged(laboratory, empty, empty, fits[0], fits, before)
+    mine = held_out_error(laboratory, current).squares.sum()
+    if step.accepted is None or ahead.squares.sum() >= mine:
         return current, held_out
     rounds.append(step)
-    return fits[0], (held_out[0], ahead[0])
+    return fits[0], (held_out[0], ahead.rms)
 
 
 def _reaches_noise(laboratory: Laboratory, fit: Fit) -> bool:
@@ -346,7 +340,8 @@ def _search(laboratory: Laboratory, candidates, opening: _Opening | None = None)
         left = current.chi_squared - current.residual_count
         if len(current.model.effects) > 1 and left > 0.5 * excess:
             break
-    current, held_out = _or_profile(laboratory, empty, current, rounds, held_out)
+    before = base_held_out, held_out
+    current, held_out = _or_profile(laboratory, empty, current, rounds, before)
     current = pruned(laboratory, current)
     current = leaner(laboratory, current, candidates, rounds)
     if len(current.model.effects) > 1:
@@ -354,11 +349,16 @@ def _search(laboratory: Laboratory, candidates, opening: _Opening | None = None)
         alone = [f.model.names[0] for f in rounds[0].fits]
         order = [alone.index(name) if name in alone else len(alone) for name in current.model.names]
         current = reordered(current, sorted(range(len(order)), key=order.__getitem__))
-    return current, rounds, (base_held_out[0], held_out[0])
+    return current, rounds, (base_held_out.rms, held_out.rms)
 
 
-def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[Round], held_out):
-    """(model, held-out error): the best profile alone, where it does better than what was found."""
+def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[Round], before):
+    """(model, held-out error): the best profile alone, where it does better than what was found.
+
+    Args:
+        before: held-out errors of the base model and of what was found.
+    """
+    base, held_out = before
     alone = [f for f in rounds[0].fits if has_profile(f.model)] if rounds else []
     built = any(isinstance(e, Described) for e in current.model.effects)
     if not alone:
@@ -373,9 +373,10 @@ def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[R
         less, gain, least = empty, evident(current) - evident(best), 2.0 * EVIDENCE
     if gain < least:
         return current, held_out
-    step, ahead = judged(laboratory, empty, less, best, alone, held_out)
+    step, ahead = judged(laboratory, empty, less, best, alone, base)
     rounds.append(step)
-    return (best, ahead) if step.accepted else (current, held_out)
+    better = step.accepted and ahead.squares.sum() < held_out.squares.sum()
+    return (best, ahead) if better else (current, held_out)
 
 
 def _polished(laboratory: Laboratory, fit: Fit) -> Fit:

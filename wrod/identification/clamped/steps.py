@@ -1,4 +1,4 @@
-"""The moves of a selection: beside a model, in pairs, by exchange, pruned; trials held out."""
+"""The moves of a selection: beside a model, in pairs, by exchange, pruned."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -8,16 +8,15 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit, fit_models
+from wrod.identification.clamped.held_out import held_out_error
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import gain_of_scatter
 from wrod.identification.clamped.pairs import likely_pairs
 from wrod.identification.clamped.profiles import ProfileEffect
 from wrod.identification.clamped.scatter import OUTWEIGHS
-from wrod.identification.clamped.verdict import AT_NOISE, BIC_MARGIN, Round
+from wrod.identification.clamped.verdict import BIC_MARGIN, Round
 from wrod.identification.effect import Effect, Model
 
-_FOLDS = 4
-LEAST_SHARE = 0.005
 # Pairs to fit, and how many standard deviations of chi squared deserve them.
 _PAIRS, FLUCTUATION = 12, 5.0
 # Leaner pairs to fit in the place of a chosen one, out of so many by superposition.
@@ -165,17 +164,21 @@ def reordered(fit: Fit, places: Sequence[int]) -> Fit:
     )
 
 
+def without(fit: Fit, kept: Sequence[Effect] = ()) -> tuple[list[Model], list[np.ndarray]]:
+    """A model without each of its effects in turn, but for those to be kept, and its values."""
+    parts, models, starts = fit.model.split(fit.values), [], []
+    for place, one in enumerate(fit.model.effects):
+        if one not in kept:
+            rest = [i for i in range(len(parts)) if i != place]
+            models.append(Model(tuple(fit.model.effects[i] for i in rest)))
+            starts.append(np.concatenate([parts[i] for i in rest]))
+    return models, starts
+
+
 def pruned(laboratory, current: Fit, kept: Sequence[Effect] = ()) -> Fit:
     """Drop what a later effect has made superfluous, but for those that are to be kept."""
     while len(current.model.effects) > 1:
-        models, starts = [], []
-        parts = current.model.split(current.values)
-        for place, one in enumerate(current.model.effects):
-            if one in kept:
-                continue
-            rest = [e for i, e in enumerate(current.model.effects) if i != place]
-            models.append(Model(tuple(rest)))
-            starts.append(np.concatenate([p for i, p in enumerate(parts) if i != place]))
+        models, starts = without(current, kept)
         fits = fit_models(laboratory, models, starts, origin=current, race=False)
         best = min(fits, key=lambda f: f.bic)
         if best.bic > current.bic + BIC_MARGIN:
@@ -299,84 +302,6 @@ def _past_folds(laboratory, fits: list[Fit]) -> list[Fit]:
     return fits + [f for f in own if f.chi_squared < noise]
 
 
-def held_out_error(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
-    """(RMS of markers [m], chi squared of everything) of train trials not fitted, in folds."""
-    m, trials = laboratory.measurements, laboratory.measurements.train
-    count = min(_FOLDS, len(trials))
-    fold = np.arange(len(trials)) % count
-    fits = [fit] * count
-    if len(fit.values):
-        weights = (fold != np.arange(count)[:, None]).astype(float)
-        fits = fit_models(
-            laboratory,
-            [fit.model] * count,
-            [fit.values] * count,
-            weights=weights,
-            origin=fit,
-            race=False,
-        )
-    squares = chi_squared = 0.0
-    markers = m.centerline[0].size
-    for k, own in enumerate(fits):
-        left = trials[fold == k]
-        error = laboratory.target[left] - laboratory.observe(own.model, own.values, trials=left)
-        squares += float((error**2)[:, :markers][laboratory.read[left, :markers]].sum())
-        chi_squared += float((laboratory.whiten(error, left) ** 2).sum())
-    count = laboratory.read[trials, :markers].sum()
-    return float(np.sqrt(3.0 * squares / count)), chi_squared
-
-
-def judged(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit, fits, held_out):
-    """(step from a model to the best of its extensions, its held-out error): see the module."""
-    gain, stays = current.bic - best.bic, ""
-    reason, ahead = too_little(laboratory, empty, current, best), held_out
-    small = bool(reason) and reason == small_share(empty, current, best)
-    beside = set() < set(current.model.effects) < set(best.model.effects)
-    if not reason or (small and beside):
-        try:
-            ahead = held_out_error(laboratory, best)
-        except DataError:
-            reason = "a trial held out has no equilibrium with it"
-        if ahead[1] >= held_out[1]:
-            reason = reason or "trials held out get worse"
-        elif reason:
-            # What is too little to name may be there, and hide in the size of what is named.
-            stays = " + ".join(best.model.names)
-            reason = f"BIC falls by {gain:.0f}, but it {reason}"
-    said = reason or f"BIC falls by {gain:.0f}, held-out error to {1e3 * ahead[0]:.3f} mm"
-    gains, accepted = [current.bic - f.bic for f in fits], None if reason else best.model.names
-    return Round(current.model.names, best, fits, gains, accepted, said, stays), ahead
-
-
-def too_little(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit) -> str:
-    """Why what a model takes of the train trials' squares beyond another is none of its effect's;
-    nothing where it is enough."""
-    excess = max(empty.chi_squared - empty.residual_count, 0.0)
-    fluctuation = np.sqrt(2.0 * empty.residual_count)
-    gain = current.bic - best.bic
-    taken = current.chi_squared - best.chi_squared
-    if gain < BIC_MARGIN:
-        return f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
-    # Scatter that was estimated beside it takes most of the squares of a small effect away.
-    scattered = any(laboratory.noise.scatter)
-    if not scattered and excess < FLUCTUATION * fluctuation and taken < fluctuation:
-        return f"takes {taken:.0f} squares, noise alone varies by {fluctuation:.0f}"
-    return small_share(empty, current, best)
-
-
-def small_share(empty: Fit, current: Fit, best: Fit) -> str:
-    """Why what a model takes beyond another may only mend its form; nothing where it is enough."""
-    excess = max(empty.chi_squared - empty.residual_count, np.sqrt(2.0 * empty.residual_count))
-    taken = current.chi_squared - best.chi_squared
-    left = current.chi_squared - current.residual_count
-    # Where much is left to explain, an effect beside a far larger one may be small.
-    more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
-    if taken < LEAST_SHARE * excess and not more:
-        share = f"{100 * taken / excess:.2g} %"
-        return f"takes {share} of the excess, less than {100 * LEAST_SHARE:g} %"
-    return ""
-
-
 def instead_of_scatter(laboratory: Laboratory, empty: Fit, singles, rounds: list[Round], held_out):
     """(model, (before, after) RMS of markers held out): the best effect alone in the place of
     nothing, where the base model seems to leave scatter from trial to trial and one number that is
@@ -386,9 +311,9 @@ def instead_of_scatter(laboratory: Laboratory, empty: Fit, singles, rounds: list
         return empty, held_out
     best, before = singles[0], held_out_error(laboratory, empty)
     ahead = held_out_error(laboratory, best)
-    if ahead[1] >= before[1]:
+    if ahead.squares.sum() >= before.squares.sum():
         return empty, held_out
     said = f"BIC falls by {empty.bic - best.bic:.0f}, by scatter from trial to trial {gain:.0f}"
     gains = [empty.bic - f.bic for f in singles]
     rounds.append(Round((), best, list(singles), gains, best.model.names, said))
-    return best, (before[0], ahead[0])
+    return best, (before.rms, ahead.rms)
