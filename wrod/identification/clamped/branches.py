@@ -15,9 +15,11 @@ from scipy.linalg import eigh
 _SAME = 1e-3
 # A stable equilibrium this near to the measured shape is the rod's.
 _NEAR = 0.05
-# A rod is far from its measured shape at so many times the distance of the one in the middle;
-# another equilibrium is nearer by a factor.
-_FAR, _NEARER = 4.0, 2.0
+# A rod is far from its measured shape at so many times the distance that a quarter of them are
+# within; another equilibrium is nearer by a factor, or a little nearer.
+_FAR, _NEARER, _LITTLE_NEARER = 2.0, 2.0, 1.25
+# How far the middle of a rod is rolled to find one whose section lies another way [rad].
+_ROLL = 1.0
 # Size of the push off a saddle, over the free length.
 _PUSH = 0.02
 # What falls off one saddle may land on another.
@@ -68,22 +70,34 @@ def _stands_near(tried: _Tried, setups) -> np.ndarray:
     return tried.reached & (tried.negative == 0) & near
 
 
-def to_measured(solver, setups, shape: np.ndarray) -> None:
+def to_measured(solver, setups, shape: np.ndarray, every: bool = False) -> bool:
     """Put rods that stand far from their measured shapes, where others do not, on another
-    equilibrium beside that shape, if there is one that is nearer: also one that is wound by a whole
-    turn more or less, of which poses say nothing."""
+    equilibrium beside that shape, if there is one that is nearer; whether any was put.
+
+    It may be one that is wound by a whole turn more or less, of which poses say nothing, or whose
+    section lies another way between the clamps: a rod that is stiffer one way than the other may
+    roll to either side in a strong bend.
+
+    Args:
+        every: ask it of all rods, and of equilibria that are a little nearer.
+    """
     led = _Tried(solver, np.ones(len(shape), dtype=bool), shape, "led")
-    far = led.away > max(_FAR * np.median(led.away), _SAME * float(np.real(setups[0].length)))
+    least = max(_FAR * np.quantile(led.away, 0.25), _SAME * float(np.real(setups[0].length)))
+    far = np.full(len(shape), True) if every else led.away > least
     if not far.any():
-        return
-    state, off = led.state, led.away.copy()
+        return False
+    state, off, put = led.state, led.away.copy(), False
     wound = -np.sign(solver.total_twist())
-    for turns in (0.0 * wound, wound):
-        tried = _Tried(solver, _relaxed(solver, setups, shape, turns=turns), shape, "measured")
-        nearer = far & _stands_near(tried, setups) & (_NEARER * tried.away < off)
+    for turns, roll in ((0.0, 0.0), (1.0, 0.0), (0.0, _ROLL), (0.0, -_ROLL)):
+        solver.shape_to(setups, shape, turns=turns * wound, roll=roll)
+        tried = _Tried(solver, solver.relax(setups), shape, "measured")
+        factor = _LITTLE_NEARER if every else _NEARER
+        nearer = far & _stands_near(tried, setups) & (factor * tried.away < off)
         solver.restore(state)
         solver.restore(tried.state, nearer)
         state, off = solver.saved(), np.where(nearer, tried.away, off)
+        put |= bool(nearer.any())
+    return put
 
 
 def settle(
@@ -146,9 +160,9 @@ def _chosen(solver, tried: list[_Tried], length: float) -> list[FoundBranch]:
     return out
 
 
-def _relaxed(solver, setups, shape: np.ndarray, state=None, turns=0.0) -> np.ndarray:
+def _relaxed(solver, setups, shape: np.ndarray, state=None) -> np.ndarray:
     """Bring every rod to equilibrium from a shape; (rod,) whether it got there."""
-    solver.shape_to(setups, shape, state, turns)
+    solver.shape_to(setups, shape, state)
     return solver.relax(setups)
 
 

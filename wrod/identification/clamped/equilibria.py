@@ -192,11 +192,11 @@ class ClampedSolver:
             )
 
     def shape_to(
-        self, setups: Sequence[ClampedSetup], shape: np.ndarray, state=None, turns=0.0
+        self, setups: Sequence[ClampedSetup], shape: np.ndarray, state=None, turns=0.0, roll=0.0
     ) -> None:
         """Put the rods' (rod, node, 3) nodes between the clamps somewhere, the clamps to their
-        poses, and the twist evenly along them, with so many (rod,) whole turns more; or leave it as
-        in a saved `state`."""
+        poses, and the twist evenly along them, with so many (rod,) whole turns more and their
+        middle rolled by an angle [rad]; or leave it as in a saved `state`."""
         self._assign(setups)
         clamp, grip = end_poses(setups)
         (a, ra), (b, rb) = clamp, grip
@@ -212,6 +212,7 @@ class ClampedSolver:
             share = np.linspace(0.0, 1.0, dof[:, 3::4].shape[1])
             whole = 2 * np.pi * np.broadcast_to(turns, len(dof))[:, None]
             dof[:, 3::4] = dof[:, 3:4] + share * (dof[:, -4:-3] + whole - dof[:, 3:4])
+            dof[:, 3::4] += roll * np.sin(np.pi * share)
             batch.state.dof.assign(dof)
             self.principal = np.repeat(
                 np.real([s.principal_angle for s in setups]), self.trial_count

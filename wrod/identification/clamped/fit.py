@@ -29,6 +29,8 @@ _BATCH = 20
 # A linearisation has as many columns for every rod of a batch as its widest candidate asks for, so
 # candidates with more parameters than this have a batch of their own.
 WIDE = 12
+# How often a start that a rod does not follow to is taken nearer, to which share of what it adds.
+_NEARER_STARTS, _NEARER = 2, 0.25
 # In a race, a gain below this share of what is left above the noise decides nothing.
 _INDIFFERENT = 1e-3
 
@@ -120,8 +122,9 @@ def fit_models(
     def run(group, rival=rival):
         own = ([models[c] for c in group], [starts[c] for c in group])
         begin, least = [states[c] for c in group], least_gains[group]
+        there = [0 if origins[c] is None else len(origins[c].values) for c in group]
         iteration = _Iteration(
-            laboratory, *own, trials, weights[group], _Best(race, rival), begin, least
+            laboratory, *own, trials, weights[group], _Best(race, rival), begin, least, there
         )
         return list(zip(iteration.run(), iteration.states, strict=True))
 
@@ -174,7 +177,7 @@ class _Iteration:
     """Levenberg-Marquardt of one batch of candidates; each has its own damping."""
 
     def __init__(
-        self, laboratory: Laboratory, models, starts, trials, weights, best, states, least
+        self, laboratory: Laboratory, models, starts, trials, weights, best, states, least, there
     ):
         self.laboratory, self.models, self.trials = laboratory, list(models), trials
         self.weights, self.best = weights, best
@@ -186,7 +189,7 @@ class _Iteration:
         self.coordinates = laboratory.measurements.centerline[0].size
         self.correction = laboratory.mesh_correction[trials]
         self.readings = laboratory.effective[trials]
-        self.states, self.least_gain = list(states), least
+        self.states, self.least_gain, self.there = list(states), least, there
 
     def run(self) -> list[Fit]:
         count = len(self.models)
@@ -199,6 +202,7 @@ class _Iteration:
         normal: list[tuple[np.ndarray, np.ndarray] | None] = [None] * count
         moves: list[np.ndarray | None] = [None] * count
         promised = np.full(count, np.inf)
+        nearer = np.zeros(count, dtype=int)
         states, solver = self.states, None
         for _ in range(_MAX_ITERATIONS):
             if not active or self.laboratory.clock.over:
@@ -245,6 +249,10 @@ class _Iteration:
             self._put_back(solver, active, states)
             done = []
             for c in active:
+                if normal[c] is None and nearer[c] < _NEARER_STARTS:
+                    nearer[c] += 1
+                    trial_values[c] = self._nearer_start(c, trial_values[c])
+                    continue
                 if normal[c] is None or converged[c] or damping[c] > _DAMPING[1]:
                     done.append(c)
                     continue
@@ -307,6 +315,11 @@ class _Iteration:
         moved = np.sqrt(3.0 * ((moves @ step) ** 2).mean(axis=1).max())
         step *= min(1.0, _REACH * self.base.length / max(moved, 1e-300))
         return np.clip(self.values[c] + step * scale, lower, upper), promise
+
+    def _nearer_start(self, c, start) -> np.ndarray:
+        """A start with a smaller share of what it adds to the fit whose shapes it begins with."""
+        less, first = self.models[c].grown(start, _NEARER), self.there[c]
+        return np.concatenate([start[:first], less[first:]])
 
     def _result(self, c, normal, cost, converged) -> Fit:
         scale = self.scales[c]

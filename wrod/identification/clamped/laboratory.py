@@ -165,6 +165,20 @@ class Laboratory:
         while len(self._known) > _REMEMBERED:
             self._known.pop(next(iter(self._known)))
 
+    def settle(self, model: Model, values: np.ndarray, trials: np.ndarray) -> bool:
+        """Put trials on the equilibria of a model that are nearest to what was measured, if others
+        are nearer than where they are; whether any was put.
+
+        Raises:
+            DataError: a trial has no equilibrium with these values.
+        """
+        solver, setup = self.solver_at(model, values, trials)
+        measured = ClampedSetup.base(self.measurements, trials, self.edge_count).measured
+        put = to_measured(solver, [setup], measured, every=True)
+        if put:
+            self.remember(model, values, trials, solver.saved())
+        return put
+
     def _lead(
         self, solver: ClampedSolver, base: ClampedSetup, model: Model, values
     ) -> ClampedSetup:

@@ -17,6 +17,8 @@ from wrod.identification.clamped.scatter import OUTWEIGHS
 from wrod.identification.clamped.verdict import BIC_MARGIN, Round
 from wrod.identification.effect import Effect, Model
 
+# How often rods are put on nearer equilibria.
+_SETTLES = 4
 # Pairs to fit, and how many standard deviations of chi squared deserve them.
 _PAIRS, FLUCTUATION = 12, 5.0
 # Leaner pairs to fit in the place of a chosen one, out of so many by superposition.
@@ -271,17 +273,20 @@ def _fit(laboratory, models, starts, origin, rival: float = np.inf, origins=None
 
 
 def _past_folds(laboratory, fits: list[Fit]) -> list[Fit]:
-    """The fits, and the best of them once more without trials that outweigh the rest, then whole.
+    """The fits, and the best of them once more from equilibria that are nearer to what was
+    measured, and without trials that outweigh the rest, then whole.
 
     A trial whose rod turns over between the base model and the true one may hold its parameters
     back, where the others' squares would fall all the way. Most of all squares are that trial's, so
     fits are ranked by the others' (least trimmed squares, Rousseeuw 1984).
     """
-    trials, held, noise = laboratory.measurements.train, [], 0.0
-    for fit in best_of_each([f for f in fits if not has_profile(f.model)]):
-        noise = fit.residual_count + FLUCTUATION * np.sqrt(2.0 * fit.residual_count)
-        if fit.chi_squared < noise:
-            return fits
+    if _reaches_noise_of(fits):
+        return fits
+    fits = _settled(laboratory, fits)
+    if _reaches_noise_of(fits):
+        return fits
+    trials, held = laboratory.measurements.train, []
+    for fit in _without_profiles(fits):
         with suppress(DataError):
             misfit = laboratory.misfit(fit.model, fit.values, trials)
             stays = misfit < OUTWEIGHS * np.median(misfit)
@@ -299,7 +304,43 @@ def _past_folds(laboratory, fits: list[Fit]) -> list[Fit]:
         )  # fmt: skip
         own = [f for f in own if np.isfinite(f.chi_squared)]
     # What does not come to the noise may only have come to another fold.
-    return fits + [f for f in own if f.chi_squared < noise]
+    return fits + [f for f in own if _reaches_noise_of([f])]
+
+
+def _without_profiles(fits: list[Fit]) -> list[Fit]:
+    return best_of_each([f for f in fits if not has_profile(f.model)])
+
+
+def _reaches_noise_of(fits: list[Fit]) -> bool:
+    """Whether one leaves no more squares than noise may."""
+    return any(
+        f.chi_squared < f.residual_count + FLUCTUATION * np.sqrt(2.0 * f.residual_count)
+        for f in _without_profiles(fits)
+    )
+
+
+def _settled(laboratory, fits: list[Fit]) -> list[Fit]:
+    """The fits, and the best of them once more from where rods stand nearer to what was measured,
+    as often as they do, or where the way was long."""
+    trials, own = laboratory.measurements.train, _without_profiles(fits)[:_AGAIN]
+    for _ in range(_SETTLES):
+        nearer = []
+        for fit in own:
+            with suppress(DataError):
+                put = laboratory.settle(fit.model, fit.values, trials)
+                if put or not fit.converged:
+                    nearer.append(fit)
+        if not nearer:
+            break
+        again = fit_models(
+            laboratory, [f.model for f in nearer], [f.values for f in nearer],
+            origin=nearer, race=False,
+        )  # fmt: skip
+        own = [
+            f for f, before in zip(again, nearer, strict=True) if f.chi_squared < before.chi_squared
+        ]
+        fits = fits + own
+    return fits
 
 
 def instead_of_scatter(laboratory: Laboratory, empty: Fit, singles, rounds: list[Round], held_out):
