@@ -33,6 +33,7 @@ class Drift(Effect):
 
     Args:
         of: the effect.
+        by_logarithm: of the time, as what creeps; else what settles.
     """
 
     # Other effects see the rod before it is another one in each trial.
@@ -40,11 +41,12 @@ class Drift(Effect):
     reference = (
         "first + (last - first) (1 - exp(-g u)) / (1 - exp(-g)), u from 0 in the first trial to 1 "
         "in the last: what settles at a rate in proportion to what is left (Newton's law of "
-        "cooling), a straight line where g = 0"
+        "cooling); or ln(1 + (exp(g) - 1) u) / g: what goes by the logarithm of time (creep); a "
+        "straight line where g = 0"
     )
 
-    def __init__(self, of: Effect):
-        self.of, self.name = of, f"drift_of_{of.name}"
+    def __init__(self, of: Effect, by_logarithm: bool = False):
+        self.of, self.name, self.by_logarithm = of, f"drift_of_{of.name}", by_logarithm
         self.title = f"{of.title}, coming or going in the order of the trials"
         self.parameters = (
             *(replace(p, key=f"{p.key}_at_first") for p in of.parameters),
@@ -58,7 +60,7 @@ class Drift(Effect):
     def each(self, values, when) -> np.ndarray:
         """(T, P) numbers of the effect at (T,) shares of the series."""
         first, last = np.split(np.asarray(values)[:-1], 2)
-        gone = _gone(values[-1], np.asarray(when))[:, None]
+        gone = _gone(values[-1], np.asarray(when), self.by_logarithm)[:, None]
         if self.of.scales:  # the factor settles, not its logarithm
             return np.log((1.0 - gone) * np.exp(first) + gone * np.exp(last))
         return first + gone * (last - first)
@@ -107,10 +109,12 @@ class Drift(Effect):
         return changed | told
 
 
-def _gone(settling, when: np.ndarray) -> np.ndarray:
+def _gone(settling, when: np.ndarray, by_logarithm: bool) -> np.ndarray:
     """(T,) share of a change that is over at (T,) shares of the series, analytic."""
     if abs(settling) < _STRAIGHT:
         return when * (1.0 + 0.5 * settling * (1.0 - when))
+    if by_logarithm:
+        return np.log1p(np.expm1(settling) * when) / settling
     return np.expm1(-settling * when) / np.expm1(-settling)
 
 
@@ -122,7 +126,21 @@ def with_drift(laboratory, candidates: Sequence[Effect], beside: Fit) -> list[Fi
         return []
     ways: list[Effect] = [Drift(known[name]) for name in _MAY if name in asked]
     fits = extensions(laboratory, beside, [*ways, memory_of(laboratory, Model(), np.zeros(0))])
-    return best_of_each([*(_settled(laboratory, fit) for fit in fits[:1]), *fits[1:]])
+    best = [_settled(laboratory, fit) for fit in fits[:1]]
+    return best_of_each(
+        [*best, *(f for fit in best for f in by_another_law(laboratory, fit)), *fits]
+    )
+
+
+def by_another_law(laboratory, fit: Fit) -> list[Fit]:
+    """A model in which what drifts does so by the other law; nothing where nothing does."""
+    own = tuple(
+        Drift(e.of, not e.by_logarithm) if isinstance(e, Drift) else e for e in fit.model.effects
+    )
+    if own == fit.model.effects:
+        return []
+    fits = fit_models(laboratory, [Model(own)], [fit.values], origin=fit, race=False)
+    return [f for f in fits if np.isfinite(f.chi_squared)]
 
 
 def _settled(laboratory, fit: Fit) -> Fit:

@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 
 from wrod.errors import DataError
 from wrod.identification.clamped.described import Described
-from wrod.identification.clamped.drift import Drift
+from wrod.identification.clamped.drift import Drift, by_another_law
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.held_out import held_out_error
 from wrod.identification.clamped.laboratory import Laboratory
@@ -90,8 +90,8 @@ def refined(
     weighed joins `rounds`.
 
     With a profile in it, the laboratory's noise is what that model leaves. What else a model may be
-    is one with a profile about the effect at that place, or one with an effect more, behind the
-    last place, that was not sure enough to name: for `in_doubt`.
+    is one with a profile about the effect at that place or with another law of what drifts, or one
+    with an effect more, behind the last place, that was not sure enough to name: for `in_doubt`.
 
     Args:
         profiles: whether to weigh profiles at all.
@@ -123,6 +123,11 @@ def refined(
                 return _polished(laboratory, rich), (held_out[0], error), {}
             doubts[place] = rich
         laboratory.set_noise(*declared)
+    for place, effect in enumerate(current.model.effects):
+        if isinstance(effect, Drift):
+            for other in by_another_law(laboratory, current):
+                if other.chi_squared < current.chi_squared + 2.0 * EVIDENCE:
+                    doubts[place] = other
     return current, held_out, doubts | _refused(laboratory, current, rounds)
 
 
@@ -153,7 +158,7 @@ def in_doubt(fit: Fit, place: int, doubts: dict[int, Fit], measurements) -> dict
     """
     effect, own = fit.model.effects[place], fit.model.split(np.arange(len(fit.values)))[place]
     values, covariance = fit.values[own], fit.covariance[np.ix_(own, own)]
-    if place in doubts:
+    if place in doubts and isinstance(doubts[place].model.effects[place], ProfileEffect):
         return _told_in_doubt(effect, values, doubts[place], place, measurements)
     for rich in doubts.values():
         there = rich.model.split(np.arange(len(rich.values)))[place]
