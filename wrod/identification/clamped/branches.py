@@ -7,6 +7,7 @@ side. Stable ones come before unstable ones; among those the nearest to the mark
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.linalg import eigh
@@ -15,11 +16,11 @@ from scipy.linalg import eigh
 _SAME = 1e-3
 # A stable equilibrium this near to the measured shape is the rod's.
 _NEAR = 0.05
-# A rod is far from its measured shape at so many times the distance that a quarter of them are
-# within; another equilibrium is nearer by a factor, or a little nearer.
-_FAR, _NEARER, _LITTLE_NEARER = 2.0, 2.0, 1.25
+# A rod is far from its measured shape at so many times what noise leaves, and where there are
+# some, so many times the distance that a quarter of them are within.
+_FAR, _FARTHER, _SOME = 2.0, 1.5, 8
 # How far the middle of a rod is rolled to find one whose section lies another way [rad].
-_ROLL = 1.0
+_ROLL = 0.5 * np.pi
 # Size of the push off a saddle, over the free length.
 _PUSH = 0.02
 # What falls off one saddle may land on another.
@@ -70,29 +71,31 @@ def _stands_near(tried: _Tried, setups) -> np.ndarray:
     return tried.reached & (tried.negative == 0) & near
 
 
-def to_measured(solver, setups, shape: np.ndarray, every: bool = False) -> bool:
+def to_measured(solver, setups, shape: np.ndarray, floor: float = 0.0, every: bool = False) -> bool:
     """Put rods that stand far from their measured shapes, where others do not, on another
     equilibrium beside that shape, if there is one that is nearer; whether any was put.
 
-    It may be one that is wound by a whole turn more or less, of which poses say nothing, or whose
+    It may be one that is wound the other way, of which poses say nothing, or whose
     section lies another way between the clamps: a rod that is stiffer one way than the other may
     roll to either side in a strong bend.
 
     Args:
-        every: ask it of all rods, and of equilibria that are a little nearer.
+        floor: RMS distance that noise leaves [m]; every: ask it of all rods.
     """
     led = _Tried(solver, np.ones(len(shape), dtype=bool), shape, "led")
-    least = max(_FAR * np.quantile(led.away, 0.25), _SAME * float(np.real(setups[0].length)))
-    far = np.full(len(shape), True) if every else led.away > least
+    same = _SAME * float(np.real(setups[0].length))
+    least = max(_FAR * floor, same)
+    if len(shape) >= _SOME:
+        least = max(least, _FARTHER * np.quantile(led.away, 0.25))
+    far = led.away > (0.0 if every else least)
     if not far.any():
         return False
     state, off, put = led.state, led.away.copy(), False
-    wound = -np.sign(solver.total_twist())
-    for turns, roll in ((0.0, 0.0), (1.0, 0.0), (0.0, _ROLL), (0.0, -_ROLL)):
-        solver.shape_to(setups, shape, turns=turns * wound, roll=roll)
+    for wound, roll in product((False, True), (0.0, _ROLL, -_ROLL)):
+        solver.shape_to(setups, shape, wound=wound, roll=roll)
         tried = _Tried(solver, solver.relax(setups), shape, "measured")
-        factor = _LITTLE_NEARER if every else _NEARER
-        nearer = far & _stands_near(tried, setups) & (factor * tried.away < off)
+        # Squares tell: of noise both have the same.
+        nearer = far & _stands_near(tried, setups) & (tried.away**2 + same**2 < off**2)
         solver.restore(state)
         solver.restore(tried.state, nearer)
         state, off = solver.saved(), np.where(nearer, tried.away, off)

@@ -203,7 +203,7 @@ class Laboratory:
                 else:
                     break
             else:
-                to_measured(solver, [setup], base.measured)
+                to_measured(solver, [setup], base.measured, self.measurements.noise_floor)
                 return setup
             solver.restore(first)
             if not walk:
