@@ -226,7 +226,9 @@ def elastic_tangents(
 
 @wp.kernel
 def held_tangents(
-    # In: rates of the held nodes (rod, frame, column, 4) and of the rolls (column, 2)
+    # In: columns with any rates, of the held nodes (rod, frame, column, 4), and of the rolls
+    # (column, 2)
+    moves: wp.array(dtype=wp.int32),
     held_rate: wp.array4d(dtype=wp.vec3d),
     roll_rate: wp.array2d(dtype=wp.float64),
     tangent: wp.array2d(dtype=wp.vec3d),
@@ -240,7 +242,7 @@ def held_tangents(
     step_out: wp.array3d(dtype=wp.float64),
 ):
     r, j, k = wp.tid()
-    if pace.accepted[r] == 0:
+    if pace.accepted[r] == 0 or moves[j] == 0:
         return
     f = first_frame + int(wp.round(pace.time[r] * frame_rate))
     n = (dof.shape[1] + 1) / 4
@@ -262,6 +264,7 @@ def held_tangents(
 @wp.kernel
 def subtract_held(
     accepted: wp.array(dtype=wp.int32),
+    moves: wp.array(dtype=wp.int32),
     hessian: wp.array3d(dtype=wp.float64),
     held: wp.array3d(dtype=wp.float64),
     rows: int,
@@ -282,6 +285,8 @@ def subtract_held(
     start = wp.max(first, a - HALF_BANDWIDTH)
     end = wp.min(first + 7, a + HALF_BANDWIDTH + 1)
     for j in range(group * per_thread, wp.min(held.shape[1], (group + 1) * per_thread)):
+        if moves[j] == 0:
+            continue
         value = ZERO
         for b in range(start, end):
             value += banded_entry(hessian, r, a, b) * held[r, j, b]

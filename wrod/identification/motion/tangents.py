@@ -79,8 +79,10 @@ class MotionTangents:
             self.model[key] = wp.array(value, dtype=kind_of(key), device=device)
         instants = (windows.held.shape[1] - 1) * substeps + 1
         held, first = np.zeros((rods, instants, P, 4, 3)), np.zeros((2, rods, P, nodes, 3))
+        moves = [moves_ends(r) for r in rates]
+        self.moves = wp.array(np.array(moves, dtype=np.int32), dtype=wp.int32, device=device)
         for j, r in enumerate(rates):
-            if moves_ends(r):
+            if moves[j]:
                 ends = held_ends(windows, r, substeps)
                 held[:, :, j] = imag(ends[0])
                 start = imag(first_nodes(windows, r, substeps, ends))
@@ -146,7 +148,8 @@ class MotionTangents:
         self._launch(
             kernels.held_tangents,
             (self.count, 2),
-            [self.held, self.roll, batch.state.tangent, run.grip_tangent, batch.state.dof]
+            [self.moves, self.held, self.roll]
+            + [batch.state.tangent, run.grip_tangent, batch.state.dof]
             + [batch.free, pace, run.substeps, run.step_rate],
             [out],
         )
@@ -216,7 +219,8 @@ class MotionTangents:
         self._launch(
             kernels.subtract_held,
             (2 * rows, self.groups),
-            [accepted, batch.derivatives.hessian, self.step_held, rows, self.per_thread],
+            [accepted, self.moves, batch.derivatives.hessian, self.step_held, rows]
+            + [self.per_thread],
             [self.x],
         )
         self._solve(accepted)
