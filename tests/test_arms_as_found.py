@@ -247,6 +247,22 @@ def test_an_arm_in_a_world_of_its_own_is_placed_as_one_without(tmp_path, line):
     assert tables[1].floor == pytest.approx(tables[0].floor + 0.8)
 
 
+def test_the_wide_foot_of_a_pedestal_stands_under_the_table(tmp_path, line):
+    """As Baxter's, 0.9 m deep and half a metre below its shoulders: no table was ever before it."""
+    bare = own_arm(tmp_path)
+    standing = bare.read_text().replace(
+        '<link name="k0"/>',
+        '<link name="k0"/><link name="foot"><collision><origin xyz="0.2 0 -0.75"/><geometry>'
+        '<box size="1.3 0.9 0.1"/></geometry></collision></link><joint name="stand" type="fixed">'
+        '<parent link="k0"/><child link="foot"/></joint>',
+    )
+    (tmp_path / "standing.urdf").write_text(standing)
+    alone, arm = load_robot(bare), load_robot(tmp_path / "standing.urdf")
+    over, through = (0.0, -0.1), (-0.75,)
+    assert candidates(line, alone, heights=over) == candidates(line, arm, heights=over) != []
+    assert candidates(line, alone, heights=through) and not candidates(line, arm, heights=through)
+
+
 def test_of_an_arm_without_shapes_it_is_said_that_nothing_is_checked(tmp_path):
     path = own_arm(tmp_path)
     text = path.read_text()

@@ -16,6 +16,7 @@ from wrod.robot.model import Robot
 
 PEDESTAL_ROOM = 0.08  # [m] the table begins this far from the shapes that do not move
 TABLE_MARGIN = 0.06  # [m] of table around the pattern
+_UNDER = 0.05  # [m] what ends so far below the top of a table stands under it
 
 
 # No arm reaches further [m].
@@ -121,8 +122,9 @@ def contact_in_base(trajectory: Places, placement: Placement) -> np.ndarray:
     return trajectory.contact @ pose[:3, :3].T + pose[:3, 3]
 
 
-def pedestal_clearance(robot: Robot) -> float:
-    """Distance from the arm's axis at which the table begins [m]."""
+def pedestal_clearance(robot: Robot, height: float) -> float:
+    """Distance from the arm's axis at which a table begins whose top is at `height` [m]. What
+    does not reach up to it, as the wide foot of a pedestal, stands under the table."""
     poses = robot.link_poses(np.zeros(len(robot.joint_names)))
     fixed = {robot.base}
     joints = [j for j in robot.urdf.joints if j.get("type") == "fixed"]
@@ -134,10 +136,11 @@ def pedestal_clearance(robot: Robot) -> float:
     for shape in robot.shapes("collision"):
         if shape.link in fixed:
             pose = poses[shape.link][0]
-            for start, end, radius in capsules_of(shape):
-                for point in (start, end):
-                    out = pose[:3, :3] @ point + pose[:3, 3]
-                    reach = max(reach, float(abs(out[0] - robot.mount[0, 3])) + radius)
+            for *ends, radius in capsules_of(shape):
+                points = np.stack(ends) @ pose[:3, :3].T + pose[:3, 3]
+                if points[:, 2].max() + radius > height - _UNDER:
+                    out = np.abs(points[:, 0] - robot.mount[0, 3]).max()
+                    reach = max(reach, float(out) + radius)
     return reach + PEDESTAL_ROOM - 0.02
 
 
@@ -157,7 +160,7 @@ def candidates(
     mount = foot(robot)
     if heights is None:
         heights = tuple(float(mount[2]) + height for height in robot.table_heights)
-    clearance = pedestal_clearance(robot)
+    clearances = {height: pedestal_clearance(robot, height) for height in heights}
     middle = (trajectory.contact[:, :2].min(0) + trajectory.contact[:, :2].max(0)) / 2
     grid = itertools.product(
         np.arange(0.45, 0.8, 0.07) * far / 1.3,
@@ -171,7 +174,7 @@ def candidates(
         x, y = float(mount[0] + radius - turned[0]), float(mount[1] + side - turned[1])
         placement = Placement(x, y, float(height), float(yaw))
         out = contact_in_base(trajectory, placement)[:, :2] - mount[:2]
-        near = np.linalg.norm(out, axis=1).min()
+        near, clearance = np.linalg.norm(out, axis=1).min(), clearances[height]
         if near < clearance + TABLE_MARGIN or out[:, 0].min() < clearance:
             continue
         pose = placement.base_from_world
