@@ -119,6 +119,25 @@ def test_rod_on_a_dark_table_between_markers(camera, layout):
     assert measured.error_mean < 3e-4
 
 
+def test_colour_tells_a_rod_from_a_table_of_grained_wood_in_uneven_light():
+    """The table is darker at one side, and in its grain, by more than a green rod is."""
+    row, column = np.mgrid[:500, :800]
+    grain = 12.0 * np.sin(row / 9.0 + 3.0 * np.sin(column / 210.0))
+    curve = loop() / 5e-4  # [px], one crossing
+    ink = np.zeros((500, 800), np.uint8)
+    line = np.round(16 * np.column_stack([curve[:, 0], 499.0 - curve[:, 1]])).astype(np.int32)
+    cv2.polylines(ink, [line], False, 255, 7, cv2.LINE_AA, shift=4)
+    share = ink[..., None] / 255.0
+    picture = (1.0 - share) * ([185.0, 150.0, 110.0] + grain[..., None]) + share * [60, 150, 60]
+    picture *= (1.0 - 0.35 * column / 800.0)[..., None]
+    picture += np.random.default_rng(0).normal(0.0, 4.0, picture.shape)
+    picture = np.clip(picture, 0, 255).astype(np.uint8)
+    with pytest.raises(PerceptionError, match="or the table not plain"):
+        wrod.scan(picture, scale=5e-4)
+    found = wrod.scan(picture, scale=5e-4, color=(60, 150, 60))
+    assert mean_distance(found.sample(np.linspace(0, found.length, 2000))[0][:, :2], loop()) < 1e-4
+
+
 def test_metric_follows_the_paper():
     # Eq. metric: N = 50 points by arc length, mean and deviation of their distances.
     line = np.column_stack([np.linspace(0, 1, 11), np.zeros(11)])

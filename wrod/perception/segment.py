@@ -5,6 +5,7 @@ import numpy as np
 from wrod.errors import PerceptionError
 
 LEAST_CONTRAST = 12  # grey levels between strand and ground, below which there is only noise
+_HUE = 0.25  # [rad] between the colours of rod and table, from which their hues differ
 BRIGHT = 100  # median grey level from which a ground counts as paper
 
 
@@ -65,11 +66,7 @@ def segment_rods(
     if color is not None:
         if image.ndim == 2:
             raise PerceptionError("a rod colour was given, but the picture is grey; leave it out")
-        other = _largest(cv2.absdiff(image, (*map(float, color), 0.0)))
-        # Nearer to the rod's colour than to the table's.
-        difference = difference.astype(np.float32)
-        difference = (255.0 * difference / (difference + other + 1.0)).astype(np.uint8)
-        return _cut(difference, 127.5, region)
+        return _cut(255.0 * _likeness(image, ground, color, difference), 127.5, region)
     inside = difference if region is None else difference[region > 0]
     level, _ = cv2.threshold(inside, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     strands = inside[inside > level]
@@ -81,6 +78,28 @@ def segment_rods(
         )
     # A rod is darker at its sides: its edge lies below half of its middle's brightness.
     return _cut(difference, min(level, 0.4 * float(np.median(strands))), region)
+
+
+def _likeness(image, ground, color, difference) -> np.ndarray:
+    """(H, W) from 0, as the table, to 1, as the rod; a half where the edge of a rod runs.
+
+    Light and grain make a table brighter and darker by more than it may differ from the rod, and
+    keep its hue: so distances are those from all brightnesses of either colour, as long as their
+    hues differ, each over what the other colour itself has.
+    """
+    rod = np.array(color, float)
+    across, length = np.linalg.norm(np.cross(rod, ground)), np.linalg.norm(ground)
+    if across < _HUE * np.linalg.norm(rod) * length or length == 0.0:
+        other = _largest(np.abs(image - rod.astype(np.float32)))
+        return difference / (difference.astype(np.float32) + other + 1.0)
+
+    def beside(hue):
+        unit = (hue / np.linalg.norm(hue)).astype(np.float32)
+        pixels = image.astype(np.float32)
+        return np.linalg.norm(pixels - (pixels @ unit)[..., None] * unit, axis=-1)
+
+    table, own = beside(ground) / np.linalg.norm(rod), beside(rod) / length
+    return table / (table + own + 0.02)
 
 
 def segment_ink(

@@ -171,7 +171,7 @@ def _checked(mask: np.ndarray) -> np.ndarray:
     if share > 0.5:
         raise PerceptionError(
             f"{100 * share:.0f} % of the picture is foreground; rods or strokes cover less than "
-            "half: is the mask inverted?"
+            "half: is the mask inverted, or the table not plain? Then say the rod's colour"
         )
     return mask
 
