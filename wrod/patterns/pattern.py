@@ -131,7 +131,7 @@ class Pattern:
     )
     def from_points(
         cls,
-        points: np.ndarray,
+        points: ArrayLike,
         *,
         units: str = "m",
         smoothing: float | None = None,
@@ -141,7 +141,7 @@ class Pattern:
         """Pattern along points in deployment order.
 
         Args:
-            points: (n, 2) or (n, 3), n >= 3, all at one height.
+            points: (n, 2) or (n, 3), n >= 2, all at one height.
             units: m, cm, mm, um or in.
             smoothing: standard deviation of the points' noise [m]; None estimates it from the
                 points by generalised cross-validation, 0 interpolates them.
