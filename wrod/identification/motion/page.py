@@ -40,8 +40,8 @@ def _page(report) -> str:
     if noise := m.time_noise:
         facts += (
             " By the distance of a grip's two markers, a coordinate errs by "
-            f"{1e3 * noise.slow:.2f} mm that hang together ({noise.correlation:.2f} from frame to "
-            f"frame) and by {1e3 * noise.white:.2f} mm that do not."
+            f"{1e3 * noise.slow:.2g} mm that hang together ({noise.correlation:.2f} from frame to "
+            f"frame) and by {1e3 * noise.white:.2g} mm that do not."
         )
     facts += "".join(f" {c[0].upper()}{c[1:]}." for c in report.cautions)
     numbers = [

@@ -99,6 +99,8 @@ def residual(report) -> bytes:
         for c, color in enumerate(SERIES):
             panel.plot(1e3 * value[:, c], color=color, lw=1.4, label=labels[c])
         panel.axhline(0.0, color=MUTED, lw=0.6)
+        low, high = panel.get_ylim()
+        panel.set_ylim(low, high + 0.35 * (high - low))  # room for the legend
         share = 100 * r.explained[title]
         panel.xaxis.get_major_locator().set_params(integer=True)
         dress(panel, f"{title}: {share:.0f} %", "marker", legend=True, fontsize=7)

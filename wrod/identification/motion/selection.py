@@ -347,16 +347,16 @@ def verdict_of(selection: MotionSelection, floor: float) -> tuple[str, str]:
     """(verdict, reason): what the errors on recordings not fitted say."""
     before, after = selection.before, selection.after
     numbers = f"test error {1e3 * before:.2f} mm before, {1e3 * after:.2f} mm after"
+    noise = f"{numbers}: noise alone leaves a right model {1e3 * floor:.2f} mm"
     if MOTION.is_noise(before, floor):
-        return "adequate", f"{numbers}: the base model reaches the floor of {1e3 * floor:.2f} mm"
+        return "adequate", f"{noise}, and the base model no more"
     if len(selection.model.effects) == len(BASE):
         return "unexplained", f"{numbers}: no effect lowers the error of recordings not fitted"
     if MOTION.is_noise(after, floor):
-        reason = f"{numbers}: the floor is {1e3 * floor:.2f} mm"
         if not selection.at_bound:
-            return "explained", reason
+            return "explained", noise
         stuck = ", ".join(selection.at_bound)
-        return "partly-explained", f"{reason}, but {stuck} ended at a bound and stands for more"
+        return "partly-explained", f"{noise}, but {stuck} ended at a bound and stands for more"
     if after <= (1.0 - MOTION.takes) * before:
         return "partly-explained", f"{numbers}: {1e2 * (1 - after / before):.0f} % less"
     return "unexplained", f"{numbers}: no effect takes a fifth of it away"
