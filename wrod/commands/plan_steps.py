@@ -21,8 +21,10 @@ def solve_grasps_of(
     from wrod.deployment.simulate import with_remainder_of
     from wrod.planning.shapes import with_shapes
 
-    what = "grasps" if friction is None else "grasps, corrected"
-    with cost.progress_bar(unit="grasp", delay=1.0, desc=what) as bar, cost.ticking(bar):
+    how: dict = {"desc": "grasps"}
+    if friction is not None:  # grasps are the least of it, and time is all that is known
+        how = {"desc": "grasps, corrected", "bar_format": "{desc}: {elapsed}"}
+    with cost.progress_bar(unit="grasp", delay=1.0, **how) as bar, cost.ticking(bar):
         progress = cost.counting(bar)
         trajectory = plan(
             fitted.pattern, fitted.rod, method, device=device, progress=progress,
