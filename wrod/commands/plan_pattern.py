@@ -47,9 +47,9 @@ class Prepared:
         if rod is self.rod:
             return self
         note = (
-            f"held at {rod.length:.3f} m from the free end, so that less hangs and is stretched by "
-            f"what nobody knows (at its other end: --hold {whole:g}); {whole - rod.length:.3f} m "
-            "hang beyond the grip"
+            f"held at {rod.length:.3f} m from the free end: the shorter the piece that hangs, the "
+            f"less it stretches and errs (--hold {whole:g} holds the rod's other end); "
+            f"{whole - rod.length:.3f} m hang beyond the grip"
         )
         return replace(self, rod=rod, notes=(*self.notes, note))
 
