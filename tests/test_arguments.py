@@ -884,6 +884,8 @@ def test_a_device_is_a_name_or_such_an_object_of_warp_or_torch():
             wrod.RodBatch.of(vps(), arc, straight, device=device)
         with pytest.raises(WrodError, match="device"):
             wrod.solve_grasps([5.0], [0.1], 2e3, device=device)
+        with pytest.raises(WrodError, match="device"):
+            wrod.plan(line(), vps(), device=device)  # by a controller, which needs none
 
 
 @pytest.mark.parametrize("name", ["Trajectory", "Deployment", "JointPath"])

@@ -68,6 +68,10 @@ def plan_grasps(
     """
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
+    if device not in (None, "auto", "cpu"):  # a controller would not notice
+        from wrod.rods.device import resolve_device
+
+        resolve_device(device)
     RodModel.of(rod).refuse_lump()
     pattern = prepare(pattern, rod, remainder)
     refuse_tight_bends(pattern, rod)
