@@ -10,7 +10,7 @@ from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Directions, lay
 from wrod.errors import RodError
-from wrod.rods.law import Softening, StandardLinearSolid
+from wrod.rods.law import Dahl, Plastic, Softening, StandardLinearSolid
 from wrod.solvers.friction import Friction
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.32)
@@ -47,13 +47,14 @@ def displaced(trial, directions, column, by, offset):
     return replace(trial, friction=law, disturbance=disturbance), move
 
 
-def check_tangents(pattern, rod, trajectory, friction, scheme):
-    """Every column of the derivatives against differences."""
+def check_tangents(pattern, rod, trajectory, friction, scheme, shares=None, tolerance=1e-11):
+    """Every column of the derivatives against differences: to 5e-4 of its largest, or up to shares
+    of the largest by any place, turn, and number of the rod's."""
     trial = Trial(pattern, rod, trajectory, friction)
     directions = columns(trajectory)
     # Beside the plan, so that rotation vectors are not at their origin.
     offset = 0.002 * np.sin(20.0 * trajectory.arc_length)[:, None] * [1, 1, 1, 20, 20, 20]
-    options = OPTIONS | {"discretisation": replace(MESH, tolerance=1e-11, scheme=scheme)}
+    options = OPTIONS | {"discretisation": replace(MESH, tolerance=tolerance, scheme=scheme)}
     laid = lay([trial], [directions], [offset], **options)[0]
     assert not laid.diverged
     assert (laid.slip.max() > 2e-3) == (friction.static < 0.2)
@@ -67,14 +68,23 @@ def check_tangents(pattern, rod, trajectory, friction, scheme):
             one, move = displaced(trial, directions, column, sign * scale * size, offset)
             trials.append(one)
             moves.append(move)
-    ends = np.array([one.centerline for one in lay(trials, None, moves, **options)])
+    beside = lay(trials, None, moves, **options)
+    # Other steps would be another function.
+    assert {one.steps for one in beside} == {laid.steps}
+    ends = np.array([one.centerline for one in beside])
     for column in range(len(directions)):
         scale = 100.0 if directions.natural_curvature[column] else 1.0
         difference = (ends[2 * column] - ends[2 * column + 1]) / (2.0 * scale * size)
         error = np.abs(difference - laid.tangent[column])[:until].max()
-        largest = np.abs(laid.tangent[column])[:until].max()
+        largest, share = np.abs(laid.tangent[column])[:until].max(), 5e-4
         assert largest > 0.0
-        assert error < 5e-4 * largest + 1e-6, (column, error, largest)
+        if shares is not None:
+            kind = [c for c in range(len(directions)) if c // 3 == column // 3 < 2 or c == column]
+            largest, share = (
+                np.abs(laid.tangent[kind])[:, :until].max(),
+                shares[min(column // 3, 2)],
+            )
+        assert error < share * largest + 1e-6, (column, error, largest)
 
 
 # Sticking: all agree. Sliding at friction 0.16: so do they, as far as the step's tolerance allows.
@@ -98,6 +108,23 @@ def test_so_they_are_of_a_rod_with_sides_that_softens_and_is_damped(bend, relaxa
     )  # fmt: skip
     trajectory = wrod.plan(pattern, rod, "numeric", closure="min_friction", spacing=0.01, roll=0.3)
     check_tangents(pattern, rod, trajectory, Friction(4.0, roll=1e4), "bdf2")
+
+
+# Of Dahl's law what is not symmetric lacks, so that steps are found slowly; a wire has a kink
+# wherever it begins to yield.
+@pytest.mark.parametrize(
+    "law, shares, tolerance",
+    [
+        (StandardLinearSolid(0.5, 0.3), None, 1e-11),
+        (Plastic(12.0, 0.4), (5e-4, 5e-4, 5e-4), 1e-11),
+        (Dahl(12.0, 0.4), (0.03, 0.03, 0.15), 1e-9),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_so_they_are_of_rods_that_remember(bend, law, shares, tolerance):
+    pattern, trajectory = bend
+    rod = replace(wrod.RodModel.of(ROD), law=law)
+    check_tangents(pattern, rod, trajectory, Friction(4.0, roll=1e4), "bdf2", shares, tolerance)
 
 
 def test_friction_by_place_is_a_limit_of_differences(bend):
@@ -155,9 +182,6 @@ def test_what_a_tangent_cannot_know_is_refused(bend):
     with pytest.raises(RodError, match="midpoint"):
         mesh = replace(MESH, scheme="midpoint")
         lay([still], [columns(trajectory)], discretisation=mesh)
-    with pytest.raises(RodError, match="remembers how it was bent"):
-        wire = replace(wrod.RodModel.of(ROD), law=StandardLinearSolid(0.5, 0.3))
-        lay([replace(still, rod=wire)], [columns(trajectory)], **OPTIONS)
 
 
 def test_torch_gradients_are_limits_of_differences(bend):

@@ -13,8 +13,10 @@ from wrod.deployment.tangents import Directions, lay
 from wrod.deployment.trial import Trial
 from wrod.deployment.way import GripWay
 from wrod.planning.tail import Tail
+from wrod.rods.law import Plastic
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.4)
+WIRE = replace(wrod.RodModel.of(ROD), law=Plastic(10.0, 0.4))
 SHAKEN = Disturbance(jitter=2e-4, shaking_time=60.0, natural_curvature=1.0)
 LGB = ROD.gravito_bending_length
 
@@ -28,9 +30,9 @@ def way():
     return pattern, GripWay(wrod.plan(pattern, ROD, spacing=0.005))
 
 
-def laid(pattern, path, columns, remembered=None, friction=0.3):
+def laid(pattern, path, columns, remembered=None, friction=0.3, rod=ROD):
     """By a path, with derivatives by the rod and its table and then along columns of the path."""
-    trial = Trial(pattern, ROD, path, wrod.Friction(friction), SHAKEN, Tail.none(path))
+    trial = Trial(pattern, rod, path, wrod.Friction(friction), SHAKEN, Tail.none(path))
     directions = Directions.of_rod(len(path))
     if columns is not None:
         directions += Directions.of_path(columns[:, : len(path)])
@@ -49,16 +51,17 @@ def begins(remembered):
             for run in remembered.runs[1:]]  # fmt: skip
 
 
-def test_what_goes_on_lies_as_if_it_had_been_laid_whole(way):
+@pytest.mark.parametrize("rod", [ROD, WIRE], ids=["linear", "plastic"])
+def test_what_goes_on_lies_as_if_it_had_been_laid_whole(way, rod):
     """After a correction from 18 cm on, with derivatives by it and by what had begun before."""
     pattern, way = way
     remembered = LastDeployments()
-    laid(pattern, way.until(0.18).path, None, remembered)
+    laid(pattern, way.until(0.18).path, None, remembered, rod=rod)
     corrections = way.corrections(pattern, LGB, 0.18, 0.28, 0.01)
     values = np.zeros(3 * corrections.count)
     values[4] = 0.05
     path, columns = GripWay(corrections.apply(values)).until(0.28).path, corrections.columns()
-    on, whole = (laid(pattern, path, columns, one) for one in (remembered, None))
+    on, whole = (laid(pattern, path, columns, one, rod=rod) for one in (remembered, None))
     (since,) = begins(remembered)
     assert since > 2.5  # of some 4 s until 18 cm are laid
     assert abs(on.steps - whole.steps) <= 5

@@ -30,6 +30,11 @@ from wrod.kernels.stepping.flow_tangents import (
     of_vector,
 )
 from wrod.kernels.stepping.grip import spline
+from wrod.kernels.stepping.inelastic_tangents import (
+    begin_memory,
+    carry_memory,
+    remembered_moments,
+)
 from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})
@@ -370,6 +375,6 @@ def vector_of(size: int) -> type:
     dtype = ALONE if size == 1 else wp.types.vector(length=size, dtype=wp.float64)
     of_vector(
         dtype, load_tangents, load_grip, solve_tangents, carry_bristles, advance_tangents,
-        measure_strain_rates, load_flow,
+        measure_strain_rates, load_flow, begin_memory, remembered_moments, carry_memory,
     )  # fmt: skip
     return dtype

@@ -187,6 +187,7 @@ def moments(
     natural_rate: wp.array3d(dtype=Any),
     now: wp.array3d(dtype=Any),
     older: wp.array3d(dtype=Any),
+    kept: wp.array3d(dtype=Any),
     r: int,
     p: int,
     i: int,
@@ -202,6 +203,9 @@ def moments(
     second = s.flow[1, 0] * kappa_1 + s.flow[1, 1] * kappa_2
     first += s.natural[0, 0] * n_1 + s.natural[0, 1] * n_2
     second += s.natural[1, 0] * n_1 + s.natural[1, 1] * n_2
+    if kept.shape[2] > 0:
+        first += kept[r, p, 2 * i]
+        second += kept[r, p, 2 * i + 1]
     return first, second, torque
 
 
@@ -223,12 +227,14 @@ def load_flow(
     strains: wp.array2d(dtype=Strains),
     now: wp.array3d(dtype=Any),
     older: wp.array3d(dtype=Any),
+    # Moments of bends that remember, (rod, pack, 2 i + k), or empty:
+    kept: wp.array3d(dtype=Any),
     # In and out:
     x: wp.array3d(dtype=Any),
 ):
     """Minus the rates of what the moments at the nodes and the pull of the edges ask of node i and
-    of the angle of the edge after it, by what the rod is at rest and by strains that damping
-    remembers."""
+    of the angle of the edge after it, by what the rod is at rest and by strains that damping and
+    bends remember."""
     r, p, i = wp.tid()
     if not is_under_way(pace, begin, r, p):
         return
@@ -243,7 +249,7 @@ def load_flow(
     f2 = type(x[r, p, a])()
     if i < strains.shape[1] - 1:
         s = strains[r, i]
-        m0, m1, m2 = moments(s, c, natural_rate, now, older, r, p, i)
+        m0, m1, m2 = moments(s, c, natural_rate, now, older, kept, r, p, i)
         pull = s.pull * (c[1] * now[r, p, a + 3] + c[2] * older[r, p, a + 3])
         e0 = answer(s.before, 0, m0, m1, m2)
         e1 = answer(s.before, 1, m0, m1, m2)
@@ -254,7 +260,7 @@ def load_flow(
         angle = s.angle_after[0] * m0 + s.angle_after[1] * m1 + s.angle_after[2] * m2
         if i + 1 < strains.shape[1] - 1:
             q = strains[r, i + 1]
-            q0, q1, q2 = moments(q, c, natural_rate, now, older, r, p, i + 1)
+            q0, q1, q2 = moments(q, c, natural_rate, now, older, kept, r, p, i + 1)
             f0 += answer(q.before, 0, q0, q1, q2)
             f1 += answer(q.before, 1, q0, q1, q2)
             f2 += answer(q.before, 2, q0, q1, q2)
@@ -263,7 +269,7 @@ def load_flow(
             x[r, p, a + 3] = x[r, p, a + 3] - angle
     if i > 0:
         o = strains[r, i - 1]
-        o0, o1, o2 = moments(o, c, natural_rate, now, older, r, p, i - 1)
+        o0, o1, o2 = moments(o, c, natural_rate, now, older, kept, r, p, i - 1)
         drawn = o.pull * (c[1] * now[r, p, a - 1] + c[2] * older[r, p, a - 1])
         e0 += answer(o.after, 0, o0, o1, o2) + o.tangent[0] * drawn
         e1 += answer(o.after, 1, o0, o1, o2) + o.tangent[1] * drawn

@@ -8,7 +8,7 @@ from wrod.kernels.contact.linearised import LinearContact
 from wrod.kernels.lanes import lanes
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import deployment_tangents as kernels
-from wrod.kernels.stepping import flow_tangents
+from wrod.kernels.stepping import flow_tangents, inelastic_tangents
 from wrod.rods.batch import RodBatch
 from wrod.solvers.contact import Contact
 from wrod.solvers.newton_steps import NewtonSteps
@@ -96,12 +96,24 @@ class LaidTangents:
             wp.zeros((rods, nodes - 1), dtype=wp.vec3d, device=device) for _ in range(2)
         )
         self.packs = packs
+        # Of bends that remember: what they remember, and their moments by it.
+        self.remembers = batch.inelastic is not None
+        inner = nodes - 2 if self.remembers else 0
+        self.kept, self.kept_moment = (
+            zeros(4 * nodes if inner else 0),
+            zeros(2 * nodes if inner else 0),
+        )
+        self.memory = per_node(inelastic_tangents.Memory)
+        if self.remembers:
+            inputs = [batch.elastic_model, self.natural_rate, batch.inelastic]
+            batch.launch(inelastic_tangents.begin_memory, (rods, packs, inner), inputs, [self.kept])
 
     @property
     def _carried(self) -> list[wp.array]:
         """(rod, pack, ...) of what is carried from step to step."""
         carried = [self.now, self.older, self.velocity, self.velocity_older]
-        return [*carried, self.bristle, self.turned, self.strain, self.strain_older]
+        carried += [self.bristle, self.turned, self.strain, self.strain_older]
+        return [*carried, self.kept] if self.remembers else carried
 
     def early(self) -> list[np.ndarray]:
         """(rod, column, ...) of all that is carried of the columns that the grip's path has no part
@@ -186,7 +198,7 @@ class LaidTangents:
 
     def _load_flow(self, dynamics: NewtonSteps) -> None:
         viscosity, batch = dynamics.viscosity, self.batch
-        if not (self.bends or viscosity.exists):
+        if not (self.bends or viscosity.exists or self.remembers):
             return
         state, pace = batch.state, dynamics.pace
         past = [self.unstrained] * 2
@@ -199,11 +211,24 @@ class LaidTangents:
             + [state.dof, state.director, *past],
             [self.strains],
         )
+        if self.remembers:
+            batch.launch(
+                inelastic_tangents.linearise_memory,
+                (batch.rod_count, batch.node_count - 2),
+                [batch.elastic_model, batch.inelastic, pace, state.dof, state.director],
+                [self.strains, self.memory],
+            )
+            batch.launch(
+                inelastic_tangents.remembered_moments,
+                (batch.rod_count, self.packs, batch.node_count - 2),
+                [self.begin, pace, self.memory, self.kept],
+                [self.kept_moment],
+            )
         batch.launch(
             flow_tangents.load_flow,
             (batch.rod_count, self.packs, batch.node_count),
             [self.begin, self.natural_rate, pace, batch.free]
-            + [self.strains, self.strain, self.strain_older],
+            + [self.strains, self.strain, self.strain_older, self.kept_moment],
             [self.x],
         )
 
@@ -215,6 +240,13 @@ class LaidTangents:
                 (self.batch.rod_count, self.packs, self.batch.node_count - 1),
                 [self.begin, viscosity.relaxation, dynamics.pace, self.strains, self.x],
                 [self.strain, self.strain_older],
+            )
+        if self.remembers:
+            self.batch.launch(
+                inelastic_tangents.carry_memory,
+                (self.batch.rod_count, self.packs, self.batch.node_count - 2),
+                [self.begin, self.natural_rate, dynamics.pace, self.strains, self.memory, self.x],
+                [self.kept],
             )
 
     def _solve(self, inputs: list) -> None:

@@ -53,8 +53,7 @@ class _Run:
 
 
 class LastDeployments:
-    """The last deployments of a rod without fixtures that does not remember how it was bent, for
-    `wrod.deployment.tangents.lay`.
+    """The last deployments of a rod without fixtures, for `wrod.deployment.tangents.lay`.
 
     Attributes:
         effort: processor time that deployments have taken, as it is reckoned, so that what depends
@@ -127,6 +126,8 @@ class LaidParts:
         arrays += [dynamics.velocity, dynamics.velocity_older, dynamics.dof_older]
         if viscosity.exists:
             arrays += [viscosity.strain, viscosity.strain_older]
+        if self.batch.inelastic is not None:
+            arrays.append(self.batch.inelastic)
         arrays += [state.dof, state.tangent, state.director, state.reference_twist]
         contact = self.contact
         arrays += [*contact.memory[1:], *contact.duals, contact.turned, contact.slip]

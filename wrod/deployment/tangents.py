@@ -139,9 +139,9 @@ def lay(
             began like one of them; of its directions, those that are not of the path alone tell.
 
     Raises:
-        RodError: a trial has fixtures or lets the rod roll, the rod remembers how it was bent or
-            drags the air quadratically, or the scheme is "midpoint", while derivatives are wanted;
-            or the directions do not match the trials.
+        RodError: a trial has fixtures or lets the rod roll, the rod drags the air quadratically, or
+            the scheme is "midpoint", while derivatives are wanted; or the directions do not match
+            the trials.
     """
     device = resolve_device(device)
     if directions is not None:
@@ -252,13 +252,6 @@ def _check(trials: list[Trial], directions: list[Directions], scheme: str) -> No
             raise RodError(
                 "derivatives of a deployment know drag that grows with the velocity alone; give a "
                 "rod without quadratic_drag, which slow deployments do not feel"
-            )
-        law = RodModel.of(trial.rod).law
-        if law.remembers:
-            raise RodError(
-                f"derivatives of a deployment know no rod that remembers how it was bent, as one "
-                f"with the law {law.name} does; give one with another law of wrod.rods.law, "
-                "Linear() for instance, and lay the rod itself"
             )
         if columns.path.shape[1] != len(trial.trajectory):
             raise RodError(
