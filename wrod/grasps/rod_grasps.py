@@ -142,10 +142,10 @@ def solve_rod_grasps(
     contact, given = asked, np.arange(len(asked))
     if law.at_rest is None:
         contact, given = in_order(asked, model.gravito_bending_length)
-    curvature, held_roll, natural_share = (
-        value if np.size(value) <= 1 else np.interp(contact, asked, value)
-        for value in (curvature, held_roll, natural_share)
-    )
+        curvature, held_roll, natural_share = (
+            value if np.size(value) <= 1 else np.interp(contact, asked, value)
+            for value in (curvature, held_roll, natural_share)
+        )
     roll = _from_up(model, contact, held_roll)
     lgb, bending = _units(model)
     stretch = mesh_arrays(model, np.linspace(0.0, model.length, 257))["stretching_stiffness"].mean()
