@@ -90,6 +90,14 @@ def test_grasps_converge_with_the_distance_of_contacts():
     np.testing.assert_allclose(mirrored.position, least.position * [1, -1, 1], atol=1e-8)
 
 
+def test_a_wire_that_yields_early_is_found():
+    """Whole sweeps go to and fro."""
+    contacts = np.linspace(0.0, 2.4 * LGB, 25)
+    wire = of_law(Plastic(8.0, 0.3))
+    found = wrod.solve_rod_grasps(wire, contacts, 0.0, device="cpu", edge_count=32)
+    assert found.converged.all()
+
+
 def test_contacts_of_a_rod_that_remembers_are_in_order():
     with pytest.raises(GraspError, match="in the order"):
         wrod.solve_rod_grasps(of_law(Plastic(5.0, 0.1)), [0.1, 0.05], 1.0)
@@ -108,6 +116,7 @@ def test_a_plan_that_knows_what_stays_lays_it_better(law):
     plain = replace(plain, metadata=plain.metadata | {"rod": rod_as_json(rod)})
     mesh = wrod.Discretisation(0.0075, 0.02)
     trials = [wrod.Trial(pattern, rod, one, wrod.Friction(1.0)) for one in (knows, plain)]
-    better, worse = wrod.simulate_deployments(trials, speed=0.05, hold=0.02, discretisation=mesh)
+    # So slowly that damping hardly bends the rod otherwise.
+    better, worse = wrod.simulate_deployments(trials, speed=0.0125, hold=0.02, discretisation=mesh)
     assert not better.diverged
-    assert better.error_mean < 0.7 * worse.error_mean
+    assert better.error_mean < 0.35 * worse.error_mean

@@ -24,9 +24,11 @@ from wrod.rods.law import BendingLaw
 # Contacts are at most so far from each other [L_gb]: what happens to a point in between is a
 # straight way.
 _CLOSE = 0.1
-# Grips that move less from sweep to sweep [L_gb] are found; sweeps, and those after which they are
-# damped.
-_SAME, _SWEEPS, _LATE = 1e-5, 60, 20
+# Grips that move less from sweep to sweep [L_gb] are found. Once moves do not shrink to such a
+# share, sweeps go half of the way. A node at its yield limit may yield in one and not in the next,
+# by which grasps of least force and friction go to and fro: after so many sweeps a larger move is
+# small enough where it does not shrink. Most sweeps.
+_SAME, _SHRINKS, _LATE, _LATELY, _SWEEPS = 1e-5, 0.8, 16, 2e-3, 60
 # Least stiffness of a linear rod that stands for one that yields, over that of the rod.
 _LEAST = 0.1
 
@@ -90,7 +92,7 @@ class History:
         self._rods = dict(meshes)
         self._grip: np.ndarray | None = None
         self._bent: dict[int, np.ndarray] = {}
-        self._sweeps = 0
+        self._sweeps, self._moved, self._halved = 0, np.inf, False
         self.settled = np.zeros(len(contact), dtype=bool)
 
     def rods(self, edges: int) -> RodArrays:
@@ -102,7 +104,11 @@ class History:
         grips are at (n, 3), those of `solved` grasps; whether nothing changes any more."""
         if self._grip is not None:
             moved = np.where(solved, np.linalg.norm(grip - self._grip, axis=1), 0.0)
-            self.settled = np.maximum.accumulate(np.nan_to_num(moved, nan=np.inf)) < _SAME
+            moved = np.maximum.accumulate(np.nan_to_num(moved, nan=np.inf))
+            stays = bool(moved[-1] > _SHRINKS * self._moved)
+            self._halved |= stays
+            self.settled = moved < (_LATELY if stays and self._sweeps > _LATE else _SAME)
+            self._moved = moved[-1]
         self._grip = grip
         if self.settled.all():
             return True
@@ -111,7 +117,7 @@ class History:
         self._sweeps += 1
         for edges, curvature in bent.items():
             found = curvature[last]
-            if self._sweeps > _LATE:  # half of the way, where whole ones go to and fro
+            if self._halved:
                 found = 0.5 * (found + self._bent[edges])
             self._bent[edges] = found
             self._rods[edges] = self._gone_through(self.meshes[edges], found)
