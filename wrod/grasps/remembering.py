@@ -51,7 +51,10 @@ def in_order(contact: np.ndarray, lgb: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def solve_in_order(
-    history: History, inputs: tuple, roll: np.ndarray, options: GraspOptions
+    history: History,
+    inputs: tuple[np.ndarray, np.ndarray, np.ndarray],
+    roll: np.ndarray,
+    options: GraspOptions,
 ) -> dict[str, np.ndarray]:
     """Fields of `Grasps` at all contacts of a history. What is not solved, or goes on changing from
     sweep to sweep, has not converged.
