@@ -1,6 +1,7 @@
 """From trials of deployments to batches of rods, tables and steps."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -31,7 +32,7 @@ _LOOSE, _SHRINKS = 1e-4, 4.0
 # on the steps down to a millisecond (docs/deployment.md) [s].
 INTERNAL_DAMPING = 0.065
 # Of rods that say nothing of it, which swing for seconds otherwise [1/s, s].
-USUAL_DAMPING = {"air_damping": 1.0, "internal_damping": INTERNAL_DAMPING}
+USUAL_DAMPING: dict[str, Any] = {"air_damping": 1.0, "internal_damping": INTERNAL_DAMPING}
 
 
 def assemble(

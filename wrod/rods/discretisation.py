@@ -9,6 +9,7 @@ that stiffnesses count more and what is there at rest less, by the share of the 
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -131,7 +132,7 @@ def end_to_end(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 def damping(
     models: Sequence[RodModel], air_damping: float, internal_damping: float
-) -> dict[str, np.ndarray]:
+) -> dict[str, Any]:
     """(rod,) radius, air_damping and internal_damping as `Dynamics` takes them; the numbers are for
     rods that say nothing of it."""
     inside = [m.internal_damping for m in models]
