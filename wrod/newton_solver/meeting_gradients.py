@@ -5,12 +5,12 @@ from typing import Any
 import warp as wp
 
 from wrod.kernels.stepping import meeting_adjoint as kernels
-from wrod.kernels.stepping.bodies import BodyMotion
 from wrod.kernels.stepping.body_meetings import carry_others
 from wrod.kernels.stepping.carrying import Pose
 from wrod.kernels.stepping.carrying_adjoint import find_begun
 from wrod.newton_solver.taken_steps import Taken
 from wrod.solvers.adjoint import StepAdjoint
+from wrod.solvers.bodies import motion_of
 
 
 class MeetingGradients:
@@ -27,12 +27,9 @@ class MeetingGradients:
         self._device = adjoint.batch.device
         self._bodies.meet(self)
         step = self._bodies.step
-        self._now, self._before = BodyMotion(), BodyMotion()
-        self._now.place, self._now.turn = step.place, step.turn
-        self._before.place, self._before.turn = step.place_before, step.turn_before
-        none = wp.zeros((0, 0), dtype=wp.vec3d, device=self._device)
-        for motion in (self._now, self._before):
-            motion.velocity = motion.momentum = none
+        rest = [wp.zeros((0, 0), dtype=wp.vec3d, device=self._device)] * 2
+        self._now = motion_of(step.place, step.turn, *rest)
+        self._before = motion_of(step.place_before, step.turn_before, *rest)
         self._by_friction = by_friction
         if by_friction is None:
             self._by_friction = wp.zeros(0, dtype=wp.float32, device=self._device)

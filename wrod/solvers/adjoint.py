@@ -91,16 +91,15 @@ class StepAdjoint:
         self._end = filled(OneStep(), arrays)
         self._goes_halfway = SCHEMES[dynamics._scheme] == "midpoint"
         if self._goes_halfway:
-            for name in ("active", "dof", "tangent", "director"):
-                setattr(self._end, name, wp.zeros_like(arrays[name]))
+            own = ("active", "dof", "tangent", "director")
+            filled(self._end, {name: wp.zeros_like(arrays[name]) for name in own})
             self._end.span = self._end.whole
             self._turn = floats(nodes - 1)
         self._state = RodState(
             arrays["dof"], arrays["tangent"], arrays["director"], arrays["twist"]
         )
-        self._pace = Pace()
-        for name in ("active", "coefficient", "span"):
-            setattr(self._pace, name, arrays[name])
+        paced = ("active", "coefficient", "span")
+        self._pace = filled(Pace(), {name: arrays[name] for name in paced})
         self._at = Derivatives.zeros(rods, dofs, device)
         self.gradient = self._at.gradient
         self._by_end, self._by_start, self._moment = (

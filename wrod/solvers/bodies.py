@@ -6,9 +6,16 @@ import warp as wp
 from wrod.kernels.linear.banded import multiply
 from wrod.kernels.stepping import bodies as kernels
 from wrod.kernels.stepping import body_exchange, body_shapes, body_system
+from wrod.rods.arrays import filled
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import RodState
 from wrod.solvers.steps import Steps
+
+
+def motion_of(place: wp.array, turn: wp.array, *moves: wp.array) -> kernels.BodyMotion:
+    """Bodies at one time: (row, slot) arrays in the order of `BodyMotion`."""
+    arrays = zip(kernels.BodyMotion.vars, (place, turn, *moves), strict=True)
+    return filled(kernels.BodyMotion(), dict(arrays))
 
 
 class Bodies:
@@ -49,10 +56,8 @@ class Bodies:
             return wp.zeros(shape, dtype=wp.vec3d, device=device)
 
         def motion():
-            out = kernels.BodyMotion()
-            out.place, out.velocity, out.momentum = vectors(), vectors(), vectors()
-            out.turn = wp.full(shape, wp.quatd(0.0, 0.0, 0.0, 1.0), dtype=wp.quatd, device=device)
-            return out
+            turn = wp.full(shape, wp.quatd(0.0, 0.0, 0.0, 1.0), dtype=wp.quatd, device=device)
+            return motion_of(vectors(), turn, vectors(), vectors())
 
         def floats(*size):
             return wp.zeros((shape[0], *size), dtype=wp.float64, device=device)

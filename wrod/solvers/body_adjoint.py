@@ -9,8 +9,8 @@ import warp as wp
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping import body_adjoint as kernels
 from wrod.kernels.stepping import body_system
-from wrod.kernels.stepping.bodies import BodyMotion
-from wrod.solvers.bodies import Bodies
+from wrod.rods.arrays import filled
+from wrod.solvers.bodies import Bodies, motion_of
 from wrod.solvers.carried_adjoint import CarriedAdjoint
 from wrod.solvers.pair_adjoint import PairAdjoint
 
@@ -61,16 +61,13 @@ class BodyAdjoint:
 
         self.now, self.before, self.older = (kernels.WantedBodies() for _ in range(3))
         for level in (self.now, self.before, self.older):
-            for name in kernels.WantedBodies.vars:
-                setattr(level, name, vectors())
+            filled(level, {name: vectors() for name in kernels.WantedBodies.vars})
         self.step, self.end = kernels.BodySteps(), kernels.BodySteps()
         for steps in (self.step, self.end):
-            for name, array in zip(kernels.BodySteps.vars, body_steps(bodies), strict=True):
-                setattr(steps, name, wp.zeros_like(array))
+            arrays = map(wp.zeros_like, body_steps(bodies))
+            filled(steps, dict(zip(kernels.BodySteps.vars, arrays, strict=True)))
         self.pose, self.force, self.torque = self.step, vectors(), vectors()
-        self._motion_at = BodyMotion()
-        self._motion_at.place, self._motion_at.turn = self.step.place, self.step.turn
-        self._motion_at.velocity = self._motion_at.momentum = vectors()
+        self._motion_at = motion_of(self.step.place, self.step.turn, *[vectors()] * 2)
         self._motion, self._column, self._line = (floats(motions, dofs) for _ in range(3))
         self._load, self._matrix = floats(shape[1], 6), floats(shape[1], 36)
         self._small, self.multiplier = floats(motions, motions + 1), floats(motions)

@@ -6,8 +6,8 @@ import warp as wp
 
 from wrod.kernels.contact.law import Touchable
 from wrod.kernels.stepping import body_shapes_adjoint as kernels
-from wrod.kernels.stepping.bodies import BodyMotion
 from wrod.kernels.stepping.body_shapes import place_shapes
+from wrod.solvers.bodies import motion_of
 from wrod.solvers.carried_shapes import CarriedShapes
 
 
@@ -28,11 +28,9 @@ class CarriedAdjoint:
         self._carried, self._model = carried, model
         self._borne, self._by_shape = borne, by_shape
         self._batch = carried.batch
-        self._now, self._before = BodyMotion(), BodyMotion()
-        self._now.place, self._now.turn = steps.place, steps.turn
-        self._before.place, self._before.turn = steps.place_before, steps.turn_before
-        for motion in (self._now, self._before):
-            motion.velocity = motion.momentum = steps.momentum
+        rest = [steps.momentum] * 2  # is not asked for
+        self._now = motion_of(steps.place, steps.turn, *rest)
+        self._before = motion_of(steps.place_before, steps.turn_before, *rest)
 
     def place(self, at: Any) -> None:
         """Put shapes to where they were in a step of rods."""

@@ -10,6 +10,7 @@ import warp as wp
 from wrod.kernels.contact import edge_adjoint, plane_adjoint, planes, rolling, rolling_adjoint
 from wrod.kernels.contact.shapes import Borne
 from wrod.kernels.stepping.adjoint import EdgeBlock, RollBlock
+from wrod.rods.arrays import filled
 from wrod.rods.state import Derivatives
 from wrod.solvers.carried_adjoint import CarriedAdjoint
 from wrod.solvers.carried_shapes import CarriedShapes
@@ -58,9 +59,8 @@ class ContactAdjoint:
         }
         shapes = 0 if self._contact is None else self._contact.table.shape[1]
         self.by_friction = floats(shapes)
-        self.by_shape = edge_adjoint.WantedShapes()
-        for name in edge_adjoint.WantedShapes.vars:
-            setattr(self.by_shape, name, floats(shapes, dtype=wp.vec3d))
+        vectors = {name: floats(shapes, dtype=wp.vec3d) for name in edge_adjoint.WantedShapes.vars}
+        self.by_shape = filled(edge_adjoint.WantedShapes(), vectors)
         self.borne = Borne()
         self.borne.shift, self.borne.turn = (floats(0, dtype=wp.vec3d) for _ in range(2))
         if stiffness_of_mass is None:
@@ -79,8 +79,7 @@ class ContactAdjoint:
     def carry(self, bodies: Any) -> CarriedAdjoint:
         """Their adjoint in steps of these bodies (`BodySteps`)."""
         assert self.carried is not None
-        for name in Borne.vars:
-            setattr(self.borne, name, wp.zeros_like(self.by_shape.place))
+        filled(self.borne, {name: wp.zeros_like(self.by_shape.place) for name in Borne.vars})
         model = self._solids.memory[0]
         return CarriedAdjoint(self.carried, model, bodies, self.borne, self.by_shape)
 

@@ -5,6 +5,7 @@ import warp as wp
 from wrod.kernels.contact import touching
 from wrod.kernels.lanes import TEAM, lanes
 from wrod.kernels.linear import coupling, skyline, skyline_ends, skyline_lanes, skyline_order
+from wrod.rods.arrays import filled
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.rod_contact import RodContact
 
@@ -19,10 +20,9 @@ def skyline_of(coupled: wp.array, overflow: wp.array, nodes: int) -> skyline_ord
     """Where the blocks of rods (rod,) of so many nodes are, still to be found out."""
     out = skyline_order.Skyline()
     out.coupled, out.overflow, out.reach = coupled, overflow, wp.zeros_like(coupled)
-    for name in ("rank", "order", "first", "last", "row"):
-        shape = (len(coupled), nodes)
-        setattr(out, name, wp.zeros(shape, dtype=wp.int32, device=coupled.device))
-    return out
+    shape, names = (len(coupled), nodes), ("rank", "order", "first", "last", "row")
+    device = coupled.device
+    return filled(out, {n: wp.zeros(shape, dtype=wp.int32, device=device) for n in names})
 
 
 class PairedSystem(BandedSystem):

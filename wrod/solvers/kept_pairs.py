@@ -6,6 +6,7 @@ import warp as wp
 
 from wrod.kernels.contact.pair_contact import Rubbing
 from wrod.kernels.contact.pairs import keep_pairs
+from wrod.rods.arrays import filled
 
 # With how many later edges one may touch at once.
 SLOTS = 8
@@ -31,8 +32,8 @@ class KeptPairs:
         rubbing.load = wp.zeros(shape, dtype=wp.float64, device=device)
         rubbing.sliding = wp.zeros_like(self.partner)
         rubbing.iteration = wp.zeros(batch.rod_count, dtype=wp.int32, device=device)
-        for name in ("bristle", "stretch", "dual"):
-            setattr(rubbing, name, wp.zeros(shape, dtype=wp.vec2d, device=device))
+        names = ("bristle", "stretch", "dual")
+        filled(rubbing, {n: wp.zeros(shape, dtype=wp.vec2d, device=device) for n in names})
 
     def arrays(self) -> dict[str, wp.array]:
         """By the names of `wrod.kernels.stepping.trace.OneStep`."""

@@ -14,6 +14,7 @@ from wrod.kernels.contact.pair_contact import Rubbing
 from wrod.kernels.lanes import TEAM, lanes
 from wrod.kernels.linear import skyline_lu, skyline_order
 from wrod.kernels.stepping.adjoint import fill_coupled
+from wrod.rods.arrays import filled
 from wrod.solvers.coupled import skyline_of
 from wrod.solvers.kept_pairs import SLOTS, KeptPairs
 
@@ -81,9 +82,8 @@ class PairAdjoint:
         self._scratch = [numbers(wp.int32, nodes) for _ in range(2)]
         self._capacity = min(nodes * _BLOCKS, nodes * (nodes + 1) // 2)
         self._lower, self._upper = (numbers(wp.mat44d, self._capacity) for _ in range(2))
-        self._law = kernels.WantedLaw()
-        for name in kernels.WantedLaw.vars:
-            setattr(self._law, name, numbers(wp.float64))
+        law = {name: numbers(wp.float64) for name in kernels.WantedLaw.vars}
+        self._law = filled(kernels.WantedLaw(), law)
         self._shares = self._law_shares(contact, shares)
         self._x: wp.array | None = None
 
@@ -102,16 +102,14 @@ class PairAdjoint:
         if shares is None:
             none = np.zeros_like(radius)
             shares = LawShares(none, none, none, np.zeros_like(mass))
-        out = kernels.LawShares()
-        radius = contact.mean_share
-        for name, value in (
-            ("by_stretching", shares.by_stretching), ("by_radius", shares.by_radius),
-            ("by_length", shares.by_length), ("by_mass", shares.by_mass),
-            ("size_by_radius", radius), ("total_mass", mass.sum(axis=1)),
-        ):  # fmt: skip
-            array = wp.array(np.ascontiguousarray(value), dtype=wp.float64, device=batch.device)
-            setattr(out, name, array)
-        return out
+        own = ("by_stretching", "by_radius", "by_length", "by_mass")
+        values = {name: getattr(shares, name) for name in own}
+        values |= {"size_by_radius": contact.mean_share, "total_mass": mass.sum(axis=1)}
+        arrays = {
+            name: wp.array(np.ascontiguousarray(value), dtype=wp.float64, device=batch.device)
+            for name, value in values.items()
+        }
+        return filled(kernels.LawShares(), arrays)
 
     def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
         model = (
