@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from wrod.identification.clamped.acceptance import _unproven
+from wrod.identification.clamped.held_out import HeldOut
 from wrod.identification.clamped.verdict import UNSEEN_ERRORS, UNSEEN_GAIN, error_of_gains
 
 TRAIN, TEST, MARKERS, NUMBERS = 16, 8, 31, 3
@@ -84,3 +86,44 @@ def test_gains_in_proportion_leave_no_doubt_and_equal_ones_the_usual():
     assert error_of_gains(gain, np.ones(4)) == pytest.approx(usual, rel=1e-12)
     # A trial that outweighs the rest cannot vouch for itself.
     assert error_of_gains(np.array([100.0, -1.0, 1.0]), np.array([100.0, 1.0, 1.0])) > 50.0
+
+
+def asked_for(rng, kind, uneven, size, candidates):
+    """Whether trials held out and unseen ones ask for the best of some candidates, as they have to
+    where it is to join (`acceptance`); None where not even the criterion does."""
+    y, best = noise(rng, kind), None
+    for k in range(candidates):
+        rates = effect(rng, uneven)
+        if k == 0 and size:
+            true = rates @ rng.normal(size=NUMBERS)
+            y = y + np.sqrt(size) * true / np.sqrt((true[:TRAIN] ** 2).sum())
+        values, taken = fitted(rates[:TRAIN], y[:TRAIN])
+        if best is None or taken > best[0]:
+            best = taken, rates, values
+    taken, rates, values = best
+    if taken < 10.0 + NUMBERS * np.log(TRAIN * 3 * MARKERS):
+        return None
+    plain, better = HeldOut(0.0, y[:TRAIN]), HeldOut(0.0, np.empty_like(y[:TRAIN]))
+    for fold in range(4):
+        out = np.arange(TRAIN) % 4 == fold
+        own = fitted(rates[:TRAIN][~out], y[:TRAIN][~out])[0]
+        better.residual[out] = y[:TRAIN][out] - rates[:TRAIN][out] @ own
+    seen = (y[TRAIN:] ** 2).sum() - ((y[TRAIN:] - rates[TRAIN:] @ values) ** 2).sum()
+    return not _unproven(plain, better) and seen > 0.0
+
+
+def fitted(rates, y):
+    a, b = rates.reshape(-1, rates.shape[2]), y.ravel()
+    values = np.linalg.lstsq(a, b, rcond=None)[0]
+    return values, b @ b - ((b - a @ values) ** 2).sum()
+
+
+def test_small_effects_are_asked_for_by_trials_and_what_noise_looks_like_is_not():
+    rng = np.random.default_rng(3)
+    kinds = [(kind, uneven) for kind in ("correlated", "pose") for uneven in (0.0, 1.5)]
+    false = [asked_for(rng, *kinds[n % 4], 0.0, 10) for n in range(160)]
+    false = [f for f in false if f is not None]
+    assert len(false) > 140 and sum(false) <= 0.04 * len(false)
+    true = [asked_for(rng, "white", 0.0, 45.0, 1) for _ in range(60)]
+    true = [t for t in true if t is not None]
+    assert len(true) > 45 and sum(true) >= 0.95 * len(true)
