@@ -6,12 +6,19 @@ import numpy as np
 import pytest
 from hidden import kept as hidden
 
-from wrod.identification.clamped.acceptance import _unproven, judged, kept
+from wrod.identification.clamped.acceptance import (
+    _form_of,
+    _unproven,
+    evidence_of_law,
+    judged,
+    kept,
+)
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.fit import fit_models
 from wrod.identification.clamped.held_out import HeldOut, held_out_error
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
+from wrod.identification.clamped.moment_law import moment_law_of
 from wrod.identification.clamped.refinement import evidence_of_form, in_doubt, refined
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.clamped.steps import base_fit, extensions, reordered
@@ -119,3 +126,25 @@ def test_what_mends_the_form_of_a_named_effect_is_not_named():
     step, _ = judged(laboratory, excess, alone, best, [best], held_out_error(laboratory, alone))
     assert step.accepted is None and "another law along the rod" in step.reason
     assert step.stays == " + ".join(best.model.names)
+
+
+def test_what_mends_a_law_of_bending_is_not_named():
+    """A rod that keeps its stiffness to a curvature and loses it beyond (a yield) leaves beside the
+    nearest softening what seems to be a stiffness of its own."""
+    data, _ = hidden("none 1", 101, "pose")
+    laboratory, known = Laboratory(measurements_from_arrays(data), edge_count=80), effects()
+    law = moment_law_of(laboratory)
+    curvature = np.linspace(0.05, 1.0, 80) * law.curvatures[-1]
+    kept_share = np.minimum(1.0, 0.3 + 0.7 * 0.35 * law.curvatures[-1] / curvature)
+    values = np.linalg.lstsq(law.secant(curvature), kept_share - 1.0)[0]
+    seen = laboratory.observe(Model((law,)), values)
+    rng = np.random.default_rng(4)
+    laboratory.target = seen + laboratory.deviation * rng.normal(size=seen.shape)
+    empty = base_fit(laboratory)
+    alone = extensions(laboratory, empty, [known["softening"]])[0]
+    best = extensions(laboratory, alone, [known["stiffness"], known["natural_curvature"]])[0]
+    form = evidence_of_law(laboratory, alone, 0)
+    assert form > 0.5 * (alone.bic - best.bic)
+    assert evidence_of_law(laboratory, best, 1) == -np.inf
+    said = _form_of(laboratory, replace(empty, chi_squared=1e9), alone, best)
+    assert "another law of bending than that of softening" in said

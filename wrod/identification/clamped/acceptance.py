@@ -10,8 +10,9 @@ solver's mesh. So size itself decides nothing. An effect joins where
 - trials held out ask for it: fits that have not seen a trial take squares from it in proportion to
   those by which the effect moves its prediction, by a standard error of the ratio
   (`verdict.error_of_gains`), so that one trial that outweighs the others vouches for nothing,
-- it is likelier by `EVIDENCE` than that a quantity named already changes along the rod by another
-  law than its effect's; which is asked where the effect takes so little that this may be.
+- it is likelier by `EVIDENCE` than that what is named already has another form: a quantity that
+  changes along the rod, or a moment that follows the curvature, by another law than its effect has;
+  which is asked where the effect takes so little that this may be.
 
 On the last fit's finer mesh it stays where that needs it as well, and trials that no choice has
 seen are likelier with it beside the others. By simulation (tests/test_proof.py: the best of ten
@@ -27,6 +28,7 @@ from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.held_out import HeldOut, held_out_error
 from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.moment_law import moment_law_of
 from wrod.identification.clamped.refinement import EVIDENCE, evidence_of_form
 from wrod.identification.clamped.steps import (
     FLUCTUATION,
@@ -42,6 +44,8 @@ from wrod.identification.clamped.verdict import (
     error_of_gains,
     unseen_gain,
 )
+from wrod.identification.effect import Model
+from wrod.identification.effects.law import Softening
 
 # A form that is wrong by a fifth of what an effect does leaves a share of 0.04 of its squares.
 _MAY_BE_FORM = 0.04
@@ -100,13 +104,31 @@ def _form_of(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit) -> str
         return ""
     seen = 0.5 * (evident(current) - evident(best))
     for place, effect in enumerate(current.model.effects):
-        form = evidence_of_form(laboratory, current, place)
+        along = evidence_of_form(laboratory, current, place)
+        form = max(along, evidence_of_law(laboratory, current, place))
         if seen < form + EVIDENCE:
+            of = "along the rod" if form == along else "of bending"
             return (
-                f"is seen by {seen:.1f} nats, another law along the rod than that of {effect.name} "
-                f"by {form:.1f}"
+                f"is seen by {seen:.1f} nats, another law {of} than that of {effect.name} by "
+                f"{form:.1f}"
             )
     return ""
+
+
+def evidence_of_law(laboratory: Laboratory, fit: Fit, place: int) -> float:
+    """Log evidence that the moment follows the curvature by another law than that of the effect at
+    a place of a model; none where that is no such law."""
+    effect, parts = fit.model.effects[place], fit.model.split(fit.values)
+    if not isinstance(effect, Softening):
+        return -np.inf
+    law = moment_law_of(laboratory)
+    curvature = np.linspace(0.05, 1.0, 40) * law.curvatures[-1]
+    x = (curvature / np.exp(parts[place][0])) ** 2
+    share = effect.sign * parts[place][1] * x / (1.0 + x)
+    parts[place] = np.linalg.lstsq(law.secant(curvature), share)[0]
+    own = tuple(law if e is effect else e for e in fit.model.effects)
+    rich = fit_models(laboratory, [Model(own)], [np.concatenate(parts)], origin=fit, race=False)[0]
+    return 0.5 * (evident(fit) - evident(rich)) if np.isfinite(rich.chi_squared) else -np.inf
 
 
 def kept(laboratory: Laboratory, fit: Fit, rounds: list[Round]) -> Fit:
