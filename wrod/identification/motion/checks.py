@@ -24,6 +24,8 @@ _RESTLESS = 0.02
 # Over the rod's length, what does not move; over its neighbours' way, that of a marker that is
 # something else than one.
 _STILL, _STUCK = 1e-3, 0.02
+# Change of the grips' steps from frame to frame, over themselves, that leaves open what they do.
+_COARSE = 0.3
 # A rod that hangs so much of its length to one side, this far from straight down (cosine).
 _SAGS, _DOWN = 0.03, 0.5
 
@@ -36,6 +38,7 @@ def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
             f"{where}: marker {m} of recording {names[r]} is not finite in frame {f} "
             f"({len(bad)} such markers in all); interpolate them or leave the recording out"
         )
+    _check_different(x, names, where)
     edge = np.linalg.norm(np.diff(x, axis=2), axis=3)
     mean = np.median(edge, axis=(0, 1))
     length = mean.sum()
@@ -70,6 +73,13 @@ def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
     usual = np.quantile(edge, 0.25, axis=(0, 1))  # exchanged markers are farther apart
     jump = (np.abs(np.diff(edge, axis=1)) / usual)[:, :, 1:-1]
     if jump.max() > _JUMP:
+        unseen = np.argwhere((x == 0.0).all(axis=3))
+        if len(unseen):
+            r, f, m = unseen[0]
+            raise DataError(
+                f"{where}: marker {m} of recording {names[r]} is at (0, 0, 0) in frame {f} "
+                f"({len(unseen)} such markers in all); give NaN where a marker was not seen"
+            )
         r, f, k = np.unravel_index(np.argmax(jump > _JUMP), jump.shape)
         before, after = 1e3 * edge[r, f : f + 2, k + 1]
         raise DataError(
@@ -92,6 +102,18 @@ def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
             f"{where}: markers are accelerated by {hurry:.0f} m/s^2 in the median, which no grip "
             f"does to a rod; is rate_hz, {rate:g}, the rate of these frames?"
         )
+
+
+def _check_different(x: np.ndarray, names, where: str) -> None:
+    """Whether every recording is there once."""
+    first: dict[bytes, int] = {}
+    for r, recording in enumerate(x):
+        same = first.setdefault(recording.tobytes(), r)
+        if same != r:
+            raise DataError(
+                f"{where}: recordings {names[same]} and {names[r]} are the same; give each once, "
+                "for one that was fitted is no test"
+            )
 
 
 def _check_moving(x: np.ndarray, step: np.ndarray, length: float, names, where: str) -> None:
@@ -209,30 +231,77 @@ def doubt_slow_motion(x: np.ndarray, rate: float, gravity: float, where: str) ->
         )
 
 
-def doubt_gravity(x: np.ndarray, where: str) -> None:
+def doubt_gravity(x: np.ndarray, names, where: str) -> None:
     """Warn where rods hang another way than down: z is up, which not all cameras' axes have.
 
     Args:
         x: (R, F, M, 3) positions [m].
+        names: (R,) of the recordings.
 
     Warns:
-        WrodWarning: names the way. A stiff rod that its grips push up hangs so, too.
+        WrodWarning: names the way, and the first recording that is alone with it. A stiff rod that
+            its grips push up hangs so, too.
     """
     start, end = x[:, :, 1], x[:, :, -2]
     line = end - start
     line = line / np.linalg.norm(line, axis=-1, keepdims=True)
     sag = x[:, :, 2:-2].mean(axis=2) - 0.5 * (start + end)
-    sag = (sag - np.sum(sag * line, axis=-1, keepdims=True) * line).mean(axis=(0, 1))
+    sag = (sag - np.sum(sag * line, axis=-1, keepdims=True) * line).mean(axis=1)
     length = np.linalg.norm(np.diff(x, axis=2), axis=3).mean(axis=(0, 1)).sum()
-    size = np.linalg.norm(sag)
-    if size > _SAGS * length and -sag[2] < _DOWN * size:
-        way = ", ".join(f"{v:.2f}" for v in sag / size)
+
+    def aside(hangs) -> bool:
+        size = np.linalg.norm(hangs)
+        return size > _SAGS * length and -hangs[2] < _DOWN * size
+
+    which, way = "", sag.mean(axis=0)
+    if not aside(way):
+        alone = [r for r in range(len(x)) if aside(sag[r])]
+        if not alone:
+            return
+        which, way = f"in recording {names[alone[0]]}", sag[alone[0]]
+        which += f" ({len(alone)} such recordings in all) " if len(alone) > 1 else " "
+    told = ", ".join(f"{v:.2f}" for v in way / np.linalg.norm(way))
+    warnings.warn(
+        f"{where}: {which}between its grips the rod hangs towards ({told}) on average, not down "
+        "along -z; are positions those of axes with z up?",
+        WrodWarning,
+        stacklevel=4,
+    )
+
+
+def doubt_rate(x: np.ndarray, rate: float, where: str) -> bool:
+    """Whether the grips' step from a frame to the next is another one by more than `_COARSE` of
+    itself, in the median, when the next comes; with a warning.
+
+    Three real cables at 100 Hz: 0.09 to 0.12, at 33 Hz 0.24 to 0.27.
+
+    Args:
+        x: (R, F, M, 3) positions [m].
+        rate: frames per second [Hz].
+
+    Warns:
+        WrodWarning: names the share.
+    """
+    grips = x[:, :, [0, 1, -2, -1]]
+
+    def share(lag: int) -> float:
+        step = grips[:, lag:] - grips[:, :-lag]
+        size, change = (
+            np.median(np.linalg.norm(v, axis=3)) for v in (step, step[:, lag:] - step[:, :-lag])
+        )
+        return float(change / max(size, 1e-300))
+
+    # Of noise the share is less over two frames, of motion it is more.
+    coarse = _COARSE < share(1) < share(2)
+    if coarse:
         warnings.warn(
-            f"{where}: between its grips the rod hangs towards ({way}) on average, not down along "
-            "-z; are positions those of axes with z up?",
+            f"{where}: the grips' steps change by {100 * share(1):.0f} % from "
+            f"frame to frame in the median, too much to tell what they do between frames, or "
+            f"whether some were lost; record at more than rate_hz, {rate:g}, or more slowly",
             WrodWarning,
             stacklevel=4,
         )
+    return coarse
 
 
 def _check_order(x: np.ndarray, where: str) -> None:

@@ -11,6 +11,7 @@ from wrod.files import check_arrays, read_arrays, read_fields
 from wrod.identification.motion.checks import (
     check_positions,
     doubt_gravity,
+    doubt_rate,
     doubt_slow_motion,
 )
 from wrod.identification.motion.data import MotionMeasurements
@@ -67,9 +68,12 @@ def _checked(data: dict, name: str, where: str) -> MotionMeasurements:
     check_positions(x, names, rate, where)
     x, repaired = sorted_grips(x)
     doubt_slow_motion(x, rate, data["gravity"], where)
-    doubt_gravity(x, where)
+    doubt_gravity(x, names, where)
+    coarse = doubt_rate(x, rate, where)
     if "time" in data:
         gap = told_gaps(data["time"], rate, names, where)
+    elif coarse:
+        gap = np.ones((recordings, x.shape[1] - 1), dtype=int)
     else:
         gap = np.stack([frame_gaps(recording[:, [0, 1, -2, -1]]) for recording in x])
     fit, validation, test = split_evenly(recordings)

@@ -70,6 +70,12 @@ def told_gaps(time: np.ndarray, rate: float, names, where: str) -> np.ndarray:
             have another rate.
     """
     step = np.diff(time, axis=1) * rate
+    usual = np.median(step)
+    if usual > _MOST_LOST:
+        raise DataError(
+            f"{where}: by its time a frame takes {usual / rate:.3g} s, {usual:.3g} frames of "
+            f"rate_hz, {rate:g}; give time in seconds, or the rate of these frames"
+        )
     gap = np.rint(step).astype(int)
     bad = np.argwhere((gap < 1) | (gap > _MOST_LOST) | (np.abs(step - gap) > _UNEVEN))
     if len(bad):
@@ -106,7 +112,13 @@ def frame_gaps(held: np.ndarray) -> np.ndarray:
         around = [g for g in (f - 2, f - 1, f + 1, f + 2) if 0 <= g < len(v) and gap[g] == 1]
         if not around or size[f] < max(_LOST_LEAST, _LOST_RATIO * np.median(size[around])):
             continue
+        if f - 1 in around and size[f - 1] >= size[f]:  # it slows down
+            continue
         mean = np.median(v[around], axis=0)
+        if len(around) > 1 and (around[0] > f or around[-1] < f):
+            # At an end a step goes on as the next ones change.
+            near, far = (around[0], around[1]) if around[0] > f else (around[-1], around[-2])
+            mean = 2.0 * v[near] - v[far]
         square = mean @ mean
         if square == 0.0:
             continue
