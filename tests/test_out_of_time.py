@@ -45,6 +45,15 @@ def test_the_best_until_then_is_judged_and_explains_a_part_at_most(bent, monkeyp
     assert ">partly-explained so far<" in (tmp_path / "report.html").read_text()
 
 
+def test_where_there_is_no_time_to_judge_either_the_base_model_is(bent, monkeypatch):
+    """As on a busy machine, where what is left for the verdict is over before it is there."""
+    monkeypatch.setattr("wrod.identification.clamped.clock._LEAST_GRACE", -1.0)
+    monkeypatch.setattr("wrod.identification.clamped.clock._GRACE", 0.0)
+    report = identify(measurements_from_arrays(bent), candidates=FEW_NAMES, seconds=1e-3)
+    assert report.verdict == "unexplained" and not report.effects
+    assert report.reason.startswith("0.001 s were not enough")
+
+
 def test_a_command_whose_time_is_over_at_once_says_so(bent, tmp_path):
     np.savez(tmp_path / "bent.npz", **bent)
     asked = ["identify", str(tmp_path / "bent.npz"), "--minutes", "0.001"]
