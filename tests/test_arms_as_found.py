@@ -1,6 +1,7 @@
 """Arms as their makers' files describe them: grippers, xacro, SRDF, meshes, what stands around."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,11 +12,13 @@ from test_robot_model import own_arm
 import wrod
 from wrod.errors import RobotError
 from wrod.robot.collision import CollisionModel
+from wrod.robot.grip import Grip
 from wrod.robot.kinematics import grasp_poses
 from wrod.robot.model import load_robot
 from wrod.robot.obstacles import Obstacles
-from wrod.robot.placement import Placement, candidates
+from wrod.robot.placement import Placement, candidates, contact_in_base, off_pedestal
 from wrod.robot.urdf import read_urdf
+from wrod.robot.variation import _UNITS, _Freedom
 from wrod.scene.workplace import table_under
 
 
@@ -261,6 +264,23 @@ def test_the_wide_foot_of_a_pedestal_stands_under_the_table(tmp_path, line):
     over, through = (0.0, -0.1), (-0.75,)
     assert candidates(line, alone, heights=over) == candidates(line, arm, heights=over) != []
     assert candidates(line, alone, heights=through) and not candidates(line, arm, heights=through)
+
+
+def test_no_place_is_varied_into_what_the_arm_stands_on(line):
+    """As of an arm that reaches no line before it, whose rod then lay through its stand."""
+    arm = load_robot("ur5e")
+    place = candidates(line, arm, 1)[0]
+    keeps_off = off_pedestal(arm, line, place.z)
+    assert all(map(keeps_off, candidates(line, arm, heights=(place.z,))))
+    middle = contact_in_base(line, place)[len(line.contact) // 2]
+    onto = arm.mount[:2, 3] - middle[:2]  # the line's middle onto the arm's axis
+    assert not keeps_off(replace(place, x=place.x + onto[0], y=place.y + onto[1]))
+    task = SimpleNamespace(robot=arm, trajectory=line, free_height=False)
+    branch = SimpleNamespace(placement=place, grip=Grip(0.5, 0.0))
+    freedom = _Freedom(task, branch, fixed=False)
+    moved = np.append(onto, [0.0, 0.0, 0.0])
+    assert freedom.allows(0.0 * moved) and not freedom.allows(moved / _UNITS[:5])
+    assert _Freedom(task, branch, fixed=True).allows(np.zeros(2))  # a given place is the user's
 
 
 def test_of_an_arm_without_shapes_it_is_said_that_nothing_is_checked(tmp_path):

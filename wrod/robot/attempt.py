@@ -15,7 +15,7 @@ from wrod.robot.collision import CollisionModel
 from wrod.robot.grip import Grip, TravelledPath, grasp_targets
 from wrod.robot.knots import COARSEST, joint_spline
 from wrod.robot.model import Robot
-from wrod.robot.placement import Placement, contact_in_base
+from wrod.robot.placement import Placement, contact_in_base, off_pedestal
 from wrod.robot.redundancy import GAP_ROOM, Surroundings, gaps, improve
 from wrod.robot.report import PathReport, inspect
 from wrod.robot.search import Branch, find_branches, follow_from
@@ -131,6 +131,7 @@ class ArmTask:
         rng = np.random.default_rng(seed)
         scale = _NEAR * np.array([not fixed] * 3 + [1, 1] + [self.free_height and not fixed])
         best, value = branch, self.cost(branch)
+        keeps_off = off_pedestal(self.robot, self.trajectory, branch.placement.z)
         for _ in range(rounds):
             place, grip = best.placement, best.grip
             choices = []
@@ -139,7 +140,10 @@ class ArmTask:
                     place, x=place.x + x, y=place.y + y, z=place.z + z, yaw=place.yaw + yaw
                 )
                 tilt = float(np.clip(grip.angle + angle, 0.0, math.pi / 2))
-                choices.append((moved, Grip(tilt, grip.roll + roll)))
+                if fixed or keeps_off(moved):
+                    choices.append((moved, Grip(tilt, grip.roll + roll)))
+            if not choices:
+                continue
             middle = best.positions[len(best.positions) // 2]
             targets = np.stack([self.targets(p, g, self.travel) for p, g in choices])
             rows = follow_from(self.robot, targets, middle)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -142,6 +143,17 @@ def pedestal_clearance(robot: Robot, height: float) -> float:
                     out = np.abs(points[:, 0] - robot.mount[0, 3]).max()
                     reach = max(reach, float(out) + radius)
     return reach + PEDESTAL_ROOM - 0.02
+
+
+def off_pedestal(robot: Robot, trajectory: Places, height: float) -> Callable[[Placement], bool]:
+    """Whether at a placement nothing is laid where the arm stands, of tables of about `height`."""
+    axis, clearance = foot(robot)[:2], pedestal_clearance(robot, height)
+
+    def keeps_off(placement: Placement) -> bool:
+        out = contact_in_base(trajectory, placement)[:, :2] - axis
+        return bool(np.linalg.norm(out, axis=1).min() >= clearance)
+
+    return keeps_off
 
 
 def candidates(

@@ -18,6 +18,7 @@ from scipy.sparse.linalg import splu
 from wrod.robot.attempt import ArmTask
 from wrod.robot.grip import Grip
 from wrod.robot.kinematics import null_basis, refine
+from wrod.robot.placement import off_pedestal
 from wrod.robot.redundancy import PathCost
 from wrod.robot.search import Branch
 
@@ -39,6 +40,8 @@ class _Freedom:
         self.task, self.branch = task, branch
         free = [not fixed] * 3 + [True, True, task.free_height and not fixed]
         self.which = np.flatnonzero(free)
+        keeps_off = off_pedestal(task.robot, task.trajectory, branch.placement.z)
+        self.allows = lambda unknowns: fixed or keeps_off(self.at(unknowns)[0])
 
     def at(self, unknowns: np.ndarray):
         moved = np.zeros(6)
@@ -92,7 +95,8 @@ def vary(task: ArmTask, branch: Branch, fixed: bool) -> Branch:
             other = unknowns + share * step[elbow.shape[1] :]
             targets, near = freedom.scene(other)
             trial, error = refine(robot, q + share * move, targets, iterations=5)
-            if np.abs(error).max() < 1e-6 and (candidate := cost.total(trial, near)) < value:
+            led = np.abs(error).max() < 1e-6 and freedom.allows(other)
+            if led and (candidate := cost.total(trial, near)) < value:
                 saved = value - candidate
                 q, unknowns, around, value = trial, other, near, candidate
                 damping = max(damping / 4.0, 1e-3)
