@@ -9,18 +9,13 @@ import os
 import re
 import sys
 from collections.abc import Callable, Collection, Set
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from wrod.errors import WrodError
+from wrod.places import DeviceLike, device_name, place
 
-if TYPE_CHECKING:
-    import torch
-    import warp
-
-# What `device` takes: "cpu", "cuda:0", "auto", or such an object of Warp or torch.
-DeviceLike: TypeAlias = "str | warp.Device | torch.device | None"
 _LARGEST = sys.float_info.max
 # Numbers in an array: more would take gigabytes, if only to look whether all are finite.
 MOST_NUMBERS = 2**27
@@ -198,20 +193,6 @@ def text(value: Any) -> str | None:
     return None if isinstance(value, str) else "must be a string"
 
 
-def place(value: Any) -> str | None:
-    """Where to compute; what is computed there is given its `device_name`."""
-    good = value is None or isinstance(device_name(value), str)
-    return None if good else 'must be "cpu", "cuda:0", "auto", or such a device of Warp or torch'
-
-
-def device_name(value: Any) -> Any:
-    """The name of a device of Warp or torch ("cuda:0"); anything else as it is."""
-    room, kind = type(value).__module__.partition(".")[0], type(value).__name__
-    if (room, kind) in (("warp", "Device"), ("torch", "device")):
-        return "cpu" if str(value).startswith("cpu") else str(value)
-    return value
-
-
 def path(value: Any) -> str | None:
     """The name of a file."""
     try:
@@ -327,11 +308,7 @@ def truths(value: Any) -> str | None:
 
 def picture(value: Any) -> str | None:
     """An array of truths or numbers of any shape."""
-    try:
-        truths = np.asarray(value).dtype.kind == "b"
-    except Exception:  # as in `array`
-        truths = False
-    return None if truths else _any_array(value)
+    return None if truths(value) is None else _any_array(value)
 
 
 _any_array = array(finite=False)

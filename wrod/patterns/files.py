@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import PatternError
-from wrod.files import check_arrays, checked_path, read_arrays, read_text
+from wrod.files import check_arrays, checked_path, read_arrays, read_text, write_atomically
 
 # Suffixes of points that are read as NumPy's arrays.
 NUMPY = (".npy", ".npz")
@@ -349,3 +349,19 @@ def _distance_from_neighbours(
         ]
         off[index - 1] = np.linalg.norm(flat[index] - weights @ flat[around])
     return off, np.minimum(spacing[:-1], spacing[1:])
+
+
+def write_points(path, position: np.ndarray, others: tuple[str, ...]) -> Path:
+    """Write (n, 3) points [m] as a table.
+
+    Raises:
+        PatternError: `path` has the suffix of another kind of file, NumPy's or one of `others`.
+    """
+    if Path(os.path.expanduser(path)).suffix.lower() in (*others, *NUMPY):
+        raise PatternError(f"{path}: is not for a table of points; give it the suffix .csv")
+
+    def write(file):
+        file.write("x [m],y [m],z [m]\n")
+        file.writelines(f"{x:.9f},{y:.9f},{z:.9f}\n" for x, y, z in position)
+
+    return write_atomically(path, write)

@@ -14,19 +14,17 @@ from scipy.interpolate import PPoly
 
 from wrod import arguments
 from wrod.errors import PatternError
-from wrod.files import write_atomically
+from wrod.patterns import drawings
 from wrod.patterns.corners import distance_from_lines, find_corners, heading_with_corners
 from wrod.patterns.curve import heading_of_curve, integrate_heading, lead_in
-from wrod.patterns.drawings import EXACT, read_drawing
-from wrod.patterns.drawings import SUFFIXES as DRAWINGS
 from wrod.patterns.expressions import compile_expression, value_of
 from wrod.patterns.files import (
-    NUMPY,
     RawPoints,
     checked_points,
     read_points,
     refuse_spikes,
     unit_scale,
+    write_points,
 )
 from wrod.patterns.smoothing import fit_heading
 from wrod.records import frozen
@@ -114,9 +112,9 @@ class Pattern:
         Raises:
             PatternError: names the file, and the line or point where there is one.
         """
-        if Path(path).suffix.lower() in DRAWINGS:
-            raw = read_drawing(Path(path), units, layer, stroke)
-            level = EXACT if smoothing is None else smoothing
+        if Path(path).suffix.lower() in drawings.SUFFIXES:
+            raw = drawings.read_drawing(Path(path), units, layer, stroke)
+            level = drawings.EXACT if smoothing is None else smoothing
             return cls._from_raw(raw, "m", level, name or Path(path).stem)
         if layer is not None or stroke is not None:
             raise PatternError(f"{path}: layers and strokes belong to SVG and DXF drawings")
@@ -396,19 +394,7 @@ class Pattern:
 
     @arguments.checked(PatternError, spacing=arguments.number(1e-6, 1e3))
     def save(self, path: str | os.PathLike[str], spacing: float = 0.001) -> Path:
-        """Write points along the pattern (without a remainder) as CSV that `load` reads.
-
-        Raises:
-            PatternError: `path` has the suffix of another kind of file.
-        """
-        suffix = Path(os.path.expanduser(path)).suffix.lower()
-        if suffix in (*DRAWINGS, *NUMPY):
-            raise PatternError(f"{path}: is not for a table of points; give it the suffix .csv")
-        count = max(int(np.ceil(self.length / spacing)), 8) + 1
-        position, _, _ = self.sample(np.linspace(0.0, self.length, count))
-
-        def write(file):
-            file.write("x [m],y [m],z [m]\n")
-            file.writelines(f"{x:.9f},{y:.9f},{z:.9f}\n" for x, y, z in position)
-
-        return write_atomically(path, write)
+        """Write points along the pattern (without a remainder) as CSV that `load` reads, or raise a
+        PatternError where `path` has the suffix of another kind of file."""
+        s = np.linspace(0.0, self.length, max(int(np.ceil(self.length / spacing)), 8) + 1)
+        return write_points(path, self.sample(s)[0], drawings.SUFFIXES)

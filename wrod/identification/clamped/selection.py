@@ -86,8 +86,7 @@ def _so_far(laboratory: Laboratory) -> Selection:
     clock, laboratory.clock = laboratory.clock, Clock()
     empty = base_fit(laboratory)
     before = held_out_error(laboratory, empty).rms
-    fits = best_of_each(clock.fits)
-    best = empty
+    fits, best = best_of_each(clock.fits), empty
     for count in range(1, MOST_EFFECTS + 1):
         own = [f for f in fits if len(f.model.effects) == count]
         if own and not too_little(laboratory, empty, best, own[0]):
