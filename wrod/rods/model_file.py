@@ -191,7 +191,7 @@ def _assumed(rod: dict, assumed, instead: dict) -> list[str]:
     assumed = assumed if isinstance(assumed, list) else []
     assumed = [key for key in rod if key in assumed and key not in instead]
     values = ", ".join(f"{key} {rod.get(key)!r:.40}" for key in assumed)
-    return [f"{values} assumed, for motion tells ratios to the weight only"] if assumed else []
+    return [f"{values} assumed, as nothing that was measured tells them"] if assumed else []
 
 
 def _warn(path, said: list[str]) -> None:

@@ -46,7 +46,7 @@ def cable_model(
         line_mass=line_mass,
         radius=1e-3 * length,
         natural_curvature=(0.0, curvature),
-        point_masses=((length, tip_mass),),
+        point_masses=((length, tip_mass),) if tip_mass else (),
         law=law,
         gravity=gravity,
     )

@@ -14,9 +14,11 @@ import warp as wp
 from scipy.optimize import least_squares
 
 from wrod.errors import DataError
+from wrod.identification.found_rod import FoundRod
 from wrod.identification.held.equilibria import CableModel, batch_of, marked, mesh
 from wrod.identification.held.fit import HeldFit
-from wrod.identification.held.measurements import HeldSwing
+from wrod.identification.held.measurements import HeldCable, HeldSwing
+from wrod.identification.held.mesh import cable_model
 from wrod.rods.law import BendingLaw, Dahl, Linear
 from wrod.rods.state import node_positions
 from wrod.solvers.dynamics import Dynamics
@@ -49,6 +51,58 @@ class SwingModel:
     damping: float = 0.0
     friction: float = 0.0
     kept: float = 1.0
+
+    @property
+    def law(self) -> BendingLaw:
+        """Of bending: Dahl's where strands rub."""
+        if not (self.friction > 0.0 and self.kept < 1.0):
+            return Linear()
+        # Slipped, the moment is B r e + B (1 - r) k_s.
+        return Dahl(self.friction * self.kept / (1.0 - self.kept), self.kept)
+
+    @property
+    def sticking(self) -> CableModel:
+        """The cable with the stiffness that it has before it slips."""
+        return replace(self.cable, stiffness=self.cable.stiffness / self.kept)
+
+    @property
+    def internal_damping(self) -> float:
+        """Kelvin-Voigt time of that stiffness [s]: `damping` belongs to what hanging shows."""
+        return self.damping * self.kept
+
+    def rod(
+        self, cable: HeldCable, *, twist_ratio: float = 2.0 / 3.0, weighted: bool = False
+    ) -> FoundRod:
+        """The cable as a rod, to be saved as `model.json`, planned for and laid from the end that
+        the hand held. It is straight but for its bend at rest, towards its second direction m_2,
+        which was the hand's +x.
+
+        Args:
+            cable: of which length, diameter, masses and gravity are taken.
+            twist_ratio: twisting stiffness over the bending stiffness that hanging shows; swings in
+                a plane say nothing of it.
+            weighted: whether the weight at its tip is part of it.
+
+        Raises:
+            RodError: a number is none that a rod may have.
+        """
+        model = cable_model(
+            cable.length,
+            self.sticking.stiffness,
+            cable.cable_mass / cable.length,
+            twist_ratio=twist_ratio * self.kept,
+            curvature=self.cable.curvature,
+            law=self.law,
+            tip_mass=cable.tip_mass if weighted else 0.0,
+            gravity=cable.gravity,
+        )
+        fitted = replace(model, radius=0.5 * cable.diameter, internal_damping=self.internal_damping)
+        swing = {"damping": self.damping, "friction": self.friction, "kept": self.kept}
+        rest = {"stiffness": self.cable.stiffness, "curvature": self.cable.curvature}
+        assumed = ("twisting_stiffness", "stretching_stiffness")
+        tilt = {"clamp_tilt": {"tilt": self.cable.tilt}} if self.cable.tilt else {}
+        effects = {"hanging": rest, "swinging": swing, **tilt}
+        return FoundRod(fitted, tuple(tilt), assumed, effects)
 
 
 @dataclass(frozen=True)
@@ -92,18 +146,12 @@ def predict_swings(
     """
     interval = _interval([swing for swing, _ in cases])
     position, velocity = [], []
-    laws: list[BendingLaw] = []
     for swing, model in cases:
         here, moves = _first(swing, model, interval)
         position.append(here)
         velocity.append(moves)
-        rubs = model.friction > 0.0 and model.kept < 1.0
-        # Slipped, the moment is B r e + B (1 - r) k_s.
-        slip = model.friction * model.kept / (1.0 - model.kept) if rubs else 1.0
-        laws.append(Dahl(slip, model.kept) if rubs else Linear())
-    held = [
-        (s.cable, 0.0, replace(m.cable, stiffness=m.cable.stiffness / m.kept)) for s, m in cases
-    ]
+    held = [(swing.cable, 0.0, model.sticking) for swing, model in cases]
+    laws = [model.law for _, model in cases]
     batch = batch_of(held, position=np.array(position), laws=laws, device=device)
     # The hand is at rest: its mean angle is free of the markers' noise.
     angle = np.array([swing.cable.angle.mean() for swing, _ in cases])
@@ -113,8 +161,7 @@ def predict_swings(
         batch,
         scheme="bdf2",
         radius=np.array([0.5 * swing.cable.diameter for swing, _ in cases]),
-        # The time belongs to the stiffness that hanging shows, not to that before the slip.
-        internal_damping=np.array([[[m.damping * m.kept]] for _, m in cases]),
+        internal_damping=np.array([[[model.internal_damping]] for _, model in cases]),
         keeps_recording=device == "cpu",
     )
     dynamics.refuses_saddles = False
