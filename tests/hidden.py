@@ -19,6 +19,7 @@ SETS = (
     ("natural_curvature", 101, "pose"),
     ("warming", 101, "white"),
     ("anisotropic_bending", 11, "white"),
+    ("softening_by_yield", 11, "white"),
     ("stiffness, quadratic", 501, "correlated-0.7"),
     ("stiffness_gradient", 501, "correlated-0.7"),
     ("natural_curvature + stiffness", 302, "white"),

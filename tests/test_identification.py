@@ -22,6 +22,7 @@ from wrod.identification.clamped.steps import base_fit
 from wrod.identification.clamped.trace import trace
 from wrod.identification.clamped.verdict import judge
 from wrod.identification.effect import Effect, Model, Parameter, effects
+from wrod.rods.law import Plastic
 from wrod.rods.material import RodMaterial
 from wrod.rods.model_file import load_rod
 
@@ -122,6 +123,7 @@ def probe(effect: Effect) -> np.ndarray:
     special = {
         "point_mass": [8e-4, 0.21],
         "softening": [np.log(6.0), 0.4],
+        "yielding": [np.log(4.0), 0.4],
         "natural_helix": [1.0, -1.5, 7.0],
         "anisotropic_bending": [0.2, -0.1, 0.4],
         "air_flow": [0.004, -0.006, 0.002],
@@ -142,9 +144,11 @@ def test_derivatives_are_exact(laboratory, names):
     values = np.concatenate([probe(effect) for effect in model.effects])
     _, rates = laboratory.jacobian(model, values)
     for j, parameter in enumerate(model.parameters):
-        # A mass must not pass from one spline piece to the next while it is differenced.
+        # A mass must not pass from one spline piece to the next while it is differenced, nor a
+        # node its yield curvature.
+        least = 1e-5 if "yielding" in names else 3e-3
         step = np.zeros(len(values))
-        step[j] = h = 2e-4 if parameter.key == "arc_length" else 3e-3 * min(parameter.scale, 10.0)
+        step[j] = h = 2e-4 if parameter.key == "arc_length" else least * min(parameter.scale, 10.0)
         ahead = [laboratory.observe(model, values + k * step) for k in (1, -1, 2, -2)]
         numeric = (8 * (ahead[0] - ahead[1]) - (ahead[2] - ahead[3])) / (12 * h)
         for part in (slice(0, 63), slice(63, 66), slice(66, 69)):
@@ -244,6 +248,39 @@ def test_two_effects_are_found_together(tmp_path):
     assert "http" not in page
     rod = load_rod(tmp_path / "out" / "rod.json")
     assert rod.bending_stiffness == pytest.approx(1.3 * ROD.bending_stiffness, rel=0.05)
+
+
+def test_a_wire_that_yields_is_found_as_a_rod_that_does(tmp_path):
+    def law(setup):
+        setup.yielding = np.array([0.7, 6.0])
+
+    names = ["yielding", "softening", "stiffness"]
+    report = identify(measurements_from_arrays(synthetic(law, trials=8)), candidates=names)
+    assert report.verdict == "explained"
+    (effect,) = report.effects
+    assert effect.name == "yielding"
+    for key, true in (("yield_curvature", 6.0), ("hardening", 0.3)):
+        found = effect.parameters[key]
+        assert abs(found.value - true) < min(4.0 * found.stderr, 0.05 * true)
+    report.found.save(tmp_path / "model.json")
+    law = load_rod(tmp_path / "model.json").law
+    assert isinstance(law, Plastic)
+    assert law.yield_curvature == effect.parameters["yield_curvature"].value
+    assert law.hardening == pytest.approx(effect.parameters["hardening"].value)
+
+
+def test_of_two_laws_the_one_that_yields_counts(laboratory):
+    """Whichever was found first: a rod has one law of bending."""
+    known, own = effects(), {"softening": [np.log(5.0), 0.6], "yielding": [np.log(5.0), 0.4]}
+
+    def seen(*names):
+        values = np.concatenate([own[name] for name in names])
+        return laboratory.predict(Model(tuple(known[name] for name in names)), values)
+
+    alone = seen("yielding")
+    for names in (("softening", "yielding"), ("yielding", "softening")):
+        assert np.abs(seen(*names) - alone).max() < 1e-9
+    assert np.abs(seen("softening") - alone).max() > 1e-3
 
 
 def test_a_part_of_another_effect_that_does_the_same_is_a_rival():

@@ -160,7 +160,7 @@ def softening_by_tanh(rng, rod):
 
 
 def softening_by_yield(rng, rod):
-    """The same effect by another law: stiffness B up to k_c, r B beyond (bilinear)."""
+    """A wire that yields: stiffness B up to k_c, r B beyond (bilinear), the corner rounded."""
     critical = _between(rng, 0.3, 0.6) / rod.gravito_bending_length
     kept = _between(rng, 0.2, 0.4)
 
@@ -172,7 +172,8 @@ def softening_by_yield(rng, rod):
         share = 1.0 / (1.0 + np.exp((critical - e) / width))
         return e - (1 - kept) * width * (beyond - at_rest), 1.0 - (1 - kept) * share
 
-    return Hidden(Experiment(law=law), {"softening": {}})
+    truth: Truth = {("yield_curvature",): (critical,), ("hardening",): (kept,)}
+    return Hidden(Experiment(law=law), {"yielding": truth})
 
 
 def point_mass(rng, rod, share=(0.12, 0.24)):

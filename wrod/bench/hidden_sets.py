@@ -89,8 +89,8 @@ BUILT: dict[str, Callable] = {
         hidden_in.magnet,
     )
 }
-# Softenings by another law than the plug-in's.
-OTHER_LAWS = (hidden_in.softening_by_tanh.__name__, hidden_in.softening_by_yield.__name__)
+# A softening by another law than the plug-in's.
+OTHER_LAWS = (hidden_in.softening_by_tanh.__name__,)
 IN_ORDER: dict[str, Callable] = {f.__name__: f for f in CHANGING}
 UNCOVERED: dict[str, Callable] = {
     f.__name__: f for f in (hidden_in.sticking_roll, hidden_in.shaking_camera, *STRANGE)

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from wrod.errors import RodError, WrodWarning
 from wrod.identification.effect import Model
 from wrod.identification.setup import RodSetup
-from wrod.rods.law import BendingLaw, Linear, Softening
+from wrod.rods.law import BendingLaw, Linear, Plastic, Softening
 from wrod.rods.model import RodModel
 from wrod.rods.model_file import save_rod
 from wrod.rods.profile import Profile
@@ -118,7 +118,7 @@ def rod_of(
 
     first, second = np.real(setup.bending).T
     left, up = setup.natural_curvature.T
-    law, stiffer = _law(np.real(setup.softening)), 1.0
+    law, stiffer = _law(np.real(setup.softening), *np.real(getattr(setup, "yielding", (0, 1)))), 1.0
     if len(terms := np.real(getattr(setup, "law", ()))):
         stiffer, law = _nearest_softening(*terms.T)
     return replace(
@@ -140,7 +140,9 @@ def rod_of(
     )
 
 
-def _law(softening: np.ndarray) -> BendingLaw:
+def _law(softening: np.ndarray, lost: float, yields_at: float) -> BendingLaw:
+    if lost > 0.0:
+        return Plastic(float(yields_at), float(1.0 - lost))
     c, r = softening.mean(axis=0)
     return Softening(float(c**-0.5), float(r)) if c > 0.0 else Linear()
 

@@ -157,10 +157,7 @@ class BatchArrays(OnDevice):
         number = np.atleast_1d(arguments.floats(number, "RodBatch: inelastic", RodError))
         if number.size and not number[..., 0].any():
             return None
-        shape = (self.rod_count, self.node_count)
-        number = self._array("inelastic", number, (*shape, 4), wp.vec4d)
-        node = wp.zeros(shape, dtype=Inelastic, device=self.device)
-        self.launch(set_inelastic_laws, shape, [number], [node])
+        node = never_bent(self, number)
         self.add_energy(inelastic_energy, node)
         return node
 
@@ -288,3 +285,13 @@ class BatchArrays(OnDevice):
             [active, target.tangent, target.director, source.reference_twist],
             [target.reference_twist],
         )
+
+
+def never_bent(batch: BatchArrays, number: np.ndarray) -> wp.array:
+    """(rod, node) `Inelastic` of rods that have never been bent; `number` as the constructor of
+    `RodBatch` takes it."""
+    shape = (batch.rod_count, batch.node_count)
+    numbers = batch._array("inelastic", number, (*shape, 4), wp.vec4d)
+    node = wp.zeros(shape, dtype=Inelastic, device=batch.device)
+    batch.launch(set_inelastic_laws, shape, [numbers], [node])
+    return node

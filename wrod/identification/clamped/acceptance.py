@@ -123,8 +123,7 @@ def evidence_of_law(laboratory: Laboratory, fit: Fit, place: int) -> float:
         return -np.inf
     law = moment_law_of(laboratory)
     curvature = np.linspace(0.05, 1.0, 40) * law.curvatures[-1]
-    x = (curvature / np.exp(parts[place][0])) ** 2
-    share = effect.sign * parts[place][1] * x / (1.0 + x)
+    share = effect.secant(curvature, parts[place]) - 1.0
     parts[place] = np.linalg.lstsq(law.secant(curvature), share)[0]
     own = tuple(law if e is effect else e for e in fit.model.effects)
     rich = fit_models(laboratory, [Model(own)], [np.concatenate(parts)], origin=fit, race=False)[0]

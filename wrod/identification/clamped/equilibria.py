@@ -16,6 +16,7 @@ from wrod.identification.clamped.layout import (
     dead_force,
     end_poses,
     full_shape,
+    inelastic_of,
     law_layers,
     wind_load,
 )
@@ -23,6 +24,8 @@ from wrod.identification.clamped.sensing import END, Prediction, View
 from wrod.identification.clamped.sensitivity import WIND_PASSES, WIND_TOLERANCE, Sensitivity
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
+from wrod.kernels.elastic.inelastic import inelastic_energy
+from wrod.rods.arrays import never_bent
 from wrod.rods.batch import RodBatch
 from wrod.rods.rotation import angle_about, transport
 from wrod.rods.state import RodState
@@ -310,6 +313,10 @@ class ClampedSolver:
         self.batch.energies.clear()
         if coupling.any():
             self.batch.add_energy(bend_twist_energy, coupling)
+        yielding = np.real(inelastic_of(setups))
+        if yielding[..., 1].any():
+            # Nothing of a trial is remembered: each equilibrium is that of a rod never bent before.
+            self.batch.add_energy(inelastic_energy, never_bent(self.batch, yielding))
 
     # ---- what the sensors see ------------------------------------------------------------------
 

@@ -13,6 +13,9 @@ from wrod.errors import DataError
 from wrod.records import brief
 from wrod.rods.material import RodMaterial
 
+# Edges of the mesh on which curvatures are read off markers.
+_COARSE = 8
+
 
 @brief
 @dataclass(frozen=True)
@@ -58,6 +61,16 @@ class ClampedMeasurements:
     def noise_floor(self) -> float:
         """RMS distance of a perfect model from noisy markers [m]."""
         return np.sqrt(3.0) * self.noise
+
+    @cached_property
+    def largest_curvature(self) -> float:
+        """What all but a tenth of the train trials' places are bent less than, on a mesh that
+        noise hardly bends [1/m]."""
+        edge = np.diff(self.node_positions(_COARSE)[self.train], axis=1)
+        size = np.linalg.norm(edge, axis=2)
+        t = edge / size[..., None]
+        angle = np.arccos(np.clip((t[:, 1:] * t[:, :-1]).sum(axis=2), -1.0, 1.0))
+        return float(np.quantile(2.0 * angle / (size[:, 1:] + size[:, :-1]), 0.9))
 
     @cached_property
     def _node_positions(self) -> dict[int, np.ndarray]:

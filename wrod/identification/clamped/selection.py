@@ -53,7 +53,7 @@ from wrod.identification.effect import Effect
 MOST_EFFECTS = 3
 _FINE = 4 / 3
 # Laws of bending, and effects that one of unknown form may be taken for.
-_LAWS = ("softening", "stiffening")
+_LAWS = ("softening", "stiffening", "yielding")
 _LIKE_A_LAW = (*_LAWS, "stiffness", "anisotropic_bending")
 # How often to choose at most, each time with the noise that the last choice has left.
 _NOISE_PASSES = 3

@@ -15,15 +15,17 @@ from wrod.identification.clamped.layout import (
     coupling_of,
     dead_force,
     end_poses,
+    inelastic_of,
     law_layers,
     wind_load,
 )
 from wrod.identification.clamped.sensing import END, Prediction, View
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
+from wrod.kernels.elastic.inelastic import inelastic_energy
 from wrod.kernels.linear import banded
 from wrod.kernels.stepping.motion_tangents import elastic_tangents
-from wrod.rods.arrays import with_arrays
+from wrod.rods.arrays import never_bent, with_arrays
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import node_positions
 from wrod.solvers.banded import BandedSystem
@@ -31,6 +33,14 @@ from wrod.solvers.steps import unit_pace
 
 WIND_PASSES = 12
 WIND_TOLERANCE = 1e-7
+# What the energy of a law that yields depends on, as the batch and as its elastic model call it.
+_SEEN_BY_YIELD = {
+    "rest_length": "rest_length",
+    "bending_stiffness": "bending",
+    "natural_curvature": "natural_curvature",
+}
+# Share of these, and of the law's numbers, over which it is differenced.
+_DIFFERENCE = 1e-5
 
 
 class Sensitivity:
@@ -145,6 +155,13 @@ class Sensitivity:
         for column in range(len(rates)):
             own = {name: rate[:, column] for name, rate in moved.items()}
             self._add_coupling_rate(coupling[:, column], own, out[:, column])
+        laws = [inelastic_of(setups) for setups in rates]
+        # A law whose share begins at nothing is there in its own column only.
+        yielding, rate = np.max(np.real(laws), axis=0), _rates_of(laws)
+        if yielding[..., 0].any():
+            for column in range(len(rates)):
+                own = {name: moved[name][:, column] for name in _SEEN_BY_YIELD}
+                self._add_yielding_rate(yielding, rate[:, column], own, out[:, column])
         return out
 
     def _elastic_rates(self, model: dict, moved: dict) -> np.ndarray:
@@ -196,17 +213,7 @@ class Sensitivity:
         model = batch.elastic_model
 
         def add(number, factor, **moved):
-            """`factor` times the gradient with some of the model's arrays in other values."""
-            part = wp.zeros_like(batch.derivatives.gradient)
-            state = batch.state
-            batch.launch(
-                bend_twist_energy,
-                (batch.rod_count, batch.node_count - 2),
-                [with_arrays(model, **moved), number, batch.every_rod]
-                + [state.dof, state.director, state.reference_twist, 1],
-                [wp.zeros_like(batch.derivatives.energy), part, batch.derivatives.hessian],
-            )
-            out[:] += factor * part.numpy()
+            out[:] += factor * self._gradient_of(bend_twist_energy, number, **moved)
 
         def shifted(name, change):
             known = getattr(model, name)
@@ -215,7 +222,9 @@ class Sensitivity:
         if coupling_rate.any():
             add(wp.array(coupling_rate, dtype=wp.vec2d, device=device), 1.0)
         length = ("rest_length",)
-        for _, coupling in batch.energies:
+        for kernel, coupling in batch.energies:
+            if kernel is not bend_twist_energy:
+                continue
             for moving, least in ((("natural_curvature", "natural_twist"), 1.0), (length, 1e-4)):
                 rates = {n: rate[n] for n in moving}
                 largest = max(np.abs(r).max() for r in rates.values())
@@ -227,6 +236,51 @@ class Sensitivity:
                 for sign in (1.0, -1.0):
                     moved = {n: shifted(n, sign * h * r) for n, r in rates.items()}
                     add(coupling, 0.5 * sign / h, **moved)
+
+    def _add_yielding_rate(self, number, number_rate, rate: dict, out: np.ndarray) -> None:
+        """What a law that yields adds to a column of `_gradient_rates`, by central differences at
+        the present strains: moments have kinks there, but between them they are smooth.
+
+        Args:
+            number: (rod, node, 4) of the law, and `number_rate`.
+            rate: of what `_SEEN_BY_YIELD`.
+        """
+        batch = self.batch
+        known = {name: getattr(batch, name).numpy() for name in rate}
+        size = {name: np.abs(value).max() for name, value in known.items()}
+        size["natural_curvature"] = number[..., 2].min()
+        relative = [np.abs(r).reshape(len(r), -1).max(axis=1) / size[n] for n, r in rate.items()]
+        own = np.abs(number_rate) / np.maximum(number, 1e-300)
+        # The share enters in proportion: its difference may be of any size.
+        relative += [np.abs(number_rate[..., 1]).max(axis=1), own[..., 2].max(axis=1)]
+        largest = np.max(relative, axis=0)
+        step = _DIFFERENCE / np.where(largest > 0.0, largest, 1.0)
+
+        def shifted(value, by, sign):
+            return value + sign * step.reshape(-1, *[1] * (by.ndim - 1)) * by
+
+        for sign in (1.0, -1.0):
+            moved = {}
+            for name, r in rate.items():
+                array = getattr(batch, name)
+                here = shifted(known[name], r, sign)
+                moved[_SEEN_BY_YIELD[name]] = wp.array(here, dtype=array.dtype, device=self.device)
+            law = never_bent(batch, shifted(number, number_rate, sign))
+            out += 0.5 * sign / step[:, None] * self._gradient_of(inelastic_energy, law, **moved)
+
+    def _gradient_of(self, kernel: wp.Kernel, number: wp.array, **moved: wp.array) -> np.ndarray:
+        """(rod, dof) gradient of an energy of the section, with some of the model's arrays in other
+        values."""
+        batch, state = self.batch, self.batch.state
+        part = wp.zeros_like(batch.derivatives.gradient)
+        batch.launch(
+            kernel,
+            (batch.rod_count, batch.node_count - 2),
+            [with_arrays(batch.elastic_model, **moved), number, batch.every_rod]
+            + [state.dof, state.director, state.reference_twist, 1],
+            [wp.zeros_like(batch.derivatives.energy), part, batch.derivatives.hessian],
+        )
+        return part.numpy()
 
     def _prescribed_rate(self, setups: Sequence[ClampedSetup]) -> np.ndarray:
         """(rod, dof) rates of the clamps' degrees of freedom."""

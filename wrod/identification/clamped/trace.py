@@ -304,7 +304,7 @@ def _plans(frames: np.ndarray, weight: float) -> list[tuple]:
             "moment_with_curvature",
             "moment that follows the curvature, as a relative change of bending stiffness",
             "",
-            ("stiffness", "stiffness_gradient", "anisotropic_bending", "softening"),
+            ("stiffness", "stiffness_gradient", "anisotropic_bending", "softening", "yielding"),
             Model((ProbedProfile("bending", 0.1, relative=True),)),
             ("stiffness",),
         ),

@@ -19,8 +19,9 @@ class Softening(Effect):
         Parameter("log_critical_curvature", "", 3.0, lower=-5.0, upper=10.0, anywhere=True),
         Parameter("lost_stiffness", "", 1.0, lower=0.0, upper=1.0),
     )
-    # What is lost counts against the stiffness; where fits of it start; what is left is called so.
-    sign, first, left = -1.0, (0.1, 0.7), "kept_stiffness"
+    # What is lost counts against the stiffness; where fits start; what is left, and where half of
+    # the rest is lost, are called so.
+    sign, first, left, place = -1.0, (0.1, 0.7), "kept_stiffness", "critical_curvature"
 
     def starts(self, measurements):
         if measurements is None:
@@ -28,6 +29,11 @@ class Softening(Effect):
             # fit from its edge comes to it in a dozen steps, or never.
             return [np.array([np.log(10.0), 0.3])]
         return [np.array([np.log(k), change]) for k in (3.0, 30.0) for change in self.first]
+
+    def secant(self, curvature: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """M / (B k) at (n,) curvatures [1/m]."""
+        x = (curvature / np.exp(values[0])) ** 2
+        return 1.0 + self.sign * values[1] * x / (1.0 + x)
 
     def apply(self, setup, values):
         # A rod has one law: of two, the last counts.
@@ -38,7 +44,7 @@ class Softening(Effect):
         errors = np.sqrt(np.diag(covariance))
         critical = float(np.exp(values[0]))
         return {
-            "critical_curvature": Estimate(critical, float(critical * errors[0]), "1/m"),
+            self.place: Estimate(critical, float(critical * errors[0]), "1/m"),
             self.left: Estimate(1.0 + self.sign * float(values[1]), float(errors[1]), ""),
         }
 
@@ -54,6 +60,38 @@ class Stiffening(Softening):
         Parameter("gained_stiffness", "", 1.0, lower=0.0, upper=9.0),
     )
     sign, first, left = 1.0, (0.1, 1.0), "final_stiffness"
+
+
+class Yielding(Softening):
+    """A wire that yields, and stays bent: a law of `wrod.rods.law.Plastic`.
+
+    Trials are of rods that were straight (of their natural shape) before: bent once, and further
+    and further, on the way to their poses. What the trial before has left is `Memory`'s to find.
+    """
+
+    name = "yielding"
+    title = "bending stiffness that falls from B to r B at a yield curvature"
+    reference = (
+        "M = B e up to k_y, B k_y + r B (e - k_y) beyond: linear kinematic hardening (Simo & "
+        "Hughes 1998, ch. 1), bent for the first time"
+    )
+    kinds = ("clamped",)
+    alike = "an elastic law of the same moments, which unloading alone would tell"
+    # Of two laws this one counts.
+    stage = 2
+    left, place = "hardening", "yield_curvature"
+
+    def starts(self, measurements):
+        # A yield curvature that no trial reaches leaves nothing to go by.
+        bent = measurements.largest_curvature
+        return [np.array([np.log(u * bent), lost]) for u in (0.2, 0.5) for lost in self.first]
+
+    def secant(self, curvature, values):
+        return 1.0 - values[1] * np.maximum(1.0 - np.exp(values[0]) / curvature, 0.0)
+
+    def apply(self, setup, values):
+        setup.softening, setup.law = np.zeros_like(setup.softening), setup.law[:0]
+        setup.yielding = np.array([values[1], np.exp(values[0])])
 
 
 class BendTwist(Effect):
