@@ -14,7 +14,7 @@ class Softening(Effect):
         "M = B k (r + (1 - r) / (1 + (k / k_c)^2)), a smooth form of the stick-slip law of "
         "stranded cables (Papailiou 1997)"
     )
-    kinds = ("clamped", "motion")
+    kinds: tuple[str, ...] = ("clamped", "motion")
     parameters = (
         Parameter("log_critical_curvature", "", 3.0, lower=-5.0, upper=10.0, anywhere=True),
         Parameter("lost_stiffness", "", 1.0, lower=0.0, upper=1.0),
