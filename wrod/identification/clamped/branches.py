@@ -21,6 +21,13 @@ _NEAR = 0.05
 _FAR, _FARTHER, _SOME = 2.0, 1.5, 8
 # How far the middle of a rod is rolled to find one whose section lies another way [rad].
 _ROLL = 0.5 * np.pi
+# Whole turns beyond the least twist, in its sense, with how its middle is rolled; and what rods
+# that still stand far are tried with: a robot's last joint turns by two either way.
+_LEAST = tuple(product((0, -1), (0.0, _ROLL, -_ROLL)))
+_MORE = tuple((turns, 0.0) for turns in (1, -2, 2))
+# Of several turns some shape comes nearer by chance, where the model lacks an effect: they, and
+# whatever a rod is put on by the base model, have to be nearer than this share of the distance.
+_CLEARLY = 0.5
 # Size of the push off a saddle, over the free length.
 _PUSH = 0.02
 # What falls off one saddle may land on another.
@@ -71,35 +78,41 @@ def _stands_near(tried: _Tried, setups) -> np.ndarray:
     return tried.reached & (tried.negative == 0) & near
 
 
-def to_measured(solver, setups, shape: np.ndarray, floor: float = 0.0, every: bool = False) -> bool:
+def to_measured(
+    solver, setups, shape: np.ndarray, floor: float = 0.0, every: bool = False, clearly=False
+) -> bool:
     """Put rods that stand far from their measured shapes, where others do not, on another
     equilibrium beside that shape, if there is one that is nearer; whether any was put.
 
-    It may be one that is wound the other way, of which poses say nothing, or whose
-    section lies another way between the clamps: a rod that is stiffer one way than the other may
-    roll to either side in a strong bend.
+    It may be one that is wound the other way or by whole turns more, of which poses say nothing, or
+    whose section lies another way between the clamps: a rod that is stiffer one way than the other
+    may roll to either side in a strong bend.
 
     Args:
-        floor: RMS distance that noise leaves [m]; every: ask it of all rods.
+        floor: RMS distance that noise leaves [m]; every: ask it of all rods; clearly: only where
+            half the distance and more is gone.
     """
     led = _Tried(solver, np.ones(len(shape), dtype=bool), shape, "led")
     same = _SAME * float(np.real(setups[0].length))
     least = max(_FAR * floor, same)
     if len(shape) >= _SOME:
         least = max(least, _FARTHER * np.quantile(led.away, 0.25))
-    far = led.away > (0.0 if every else least)
-    if not far.any():
-        return False
+    asked = led.away > (0.0 if every else least)
     state, off, put = led.state, led.away.copy(), False
-    for wound, roll in product((False, True), (0.0, _ROLL, -_ROLL)):
-        solver.shape_to(setups, shape, wound=wound, roll=roll)
-        tried = _Tried(solver, solver.relax(setups), shape, "measured")
-        # Squares tell: of noise both have the same.
-        nearer = far & _stands_near(tried, setups) & (tried.away**2 + same**2 < off**2)
-        solver.restore(state)
-        solver.restore(tried.state, nearer)
-        state, off = solver.saved(), np.where(nearer, tried.away, off)
-        put |= bool(nearer.any())
+    for tries in (_LEAST, _MORE):
+        share = _CLEARLY if clearly or tries is _MORE else 1.0
+        for turns, roll in tries if asked.any() else ():
+            solver.shape_to(setups, shape, turns=turns, roll=roll)
+            tried = _Tried(solver, solver.relax(setups), shape, "measured")
+            # Squares tell: of noise both have the same.
+            nearer = (
+                asked & _stands_near(tried, setups) & (tried.away**2 + same**2 < (share * off) ** 2)
+            )
+            solver.restore(state)
+            solver.restore(tried.state, nearer)
+            state, off = solver.saved(), np.where(nearer, tried.away, off)
+            put |= bool(nearer.any())
+        asked &= off > least
     return put
 
 

@@ -195,11 +195,12 @@ class ClampedSolver:
             )
 
     def shape_to(
-        self, setups: Sequence[ClampedSetup], shape: np.ndarray, state=None, wound=False, roll=0.0
+        self, setups: Sequence[ClampedSetup], shape: np.ndarray, state=None, turns=0, roll=0.0
     ) -> None:
         """Put the rods' (rod, node, 3) nodes between the clamps somewhere, the clamps to their
-        poses, and the least twist evenly along them, or the least of the other sense if `wound`,
-        and their middle rolled by an angle [rad]; or leave it as in a saved `state`."""
+        poses, and the least twist evenly along them, with whole `turns` more in its sense (-1: the
+        least of the other sense), and their middle rolled by an angle [rad]; or leave it as in a
+        saved `state`."""
         self._assign(setups)
         clamp, grip = end_poses(setups)
         (a, ra), (b, rb) = clamp, grip
@@ -217,7 +218,7 @@ class ClampedSolver:
                 dof[:, -4] - dof[:, 3] + batch.state.reference_twist.numpy()[:, 1:-1].sum(axis=1)
             )
             least = twist - 2 * np.pi * np.rint(twist / (2 * np.pi))
-            more = least - twist - 2 * np.pi * np.sign(least) * wound
+            more = least - twist + 2 * np.pi * np.sign(least) * turns
             dof[:, 3::4] = dof[:, 3:4] + share * (dof[:, -4] + more - dof[:, 3])[:, None]
             dof[:, 3::4] += roll * np.sin(np.pi * share)
             batch.state.dof.assign(dof)

@@ -48,7 +48,7 @@ class Laboratory:
         self.edge_count, self.device = edge_count, device
         self.trials = np.arange(measurements.trial_count)
         self.base = ClampedSetup.base(measurements, self.trials, edge_count)
-        solver = ClampedSolver([self.base], device=device, shape=self.base.measured)
+        solver = self._at_base(self.base)
         self.base_state, self.branches = solver.saved(), solver.branches
         self.target, self.deviation = self._observations()
         self.mesh_correction = np.zeros_like(self.target)
@@ -60,6 +60,12 @@ class Laboratory:
         self.set_noise(NoiseModel())
         self.refine(Model(), np.zeros(0))
         self.outliers = self._set_aside()
+
+    def _at_base(self, base: ClampedSetup) -> ClampedSolver:
+        """Rods of the base model on their own mesh, on the equilibria that were measured."""
+        solver = ClampedSolver([base], device=self.device, shape=base.measured)
+        to_measured(solver, [base], base.measured, self.measurements.noise_floor, clearly=True)
+        return solver
 
     def _observations(self) -> tuple[np.ndarray, np.ndarray]:
         """(T, R) measured values and their standard deviations: markers, force, torque."""
@@ -114,7 +120,7 @@ class Laboratory:
         """
         fine = self.observe(model, values, corrected=False)
         half = ClampedSetup.base(self.measurements, self.trials, self.edge_count // 2)
-        solver = ClampedSolver([half], device=self.device, shape=half.measured)
+        solver = self._at_base(half)
         setup = self._lead(solver, half, model, values)
         coarse = self.observed(model, values, setup, solver.predict([setup]), 0).real
         correction = (fine - coarse) / 3.0
@@ -203,7 +209,8 @@ class Laboratory:
                 else:
                     break
             else:
-                to_measured(solver, [setup], base.measured, self.measurements.noise_floor)
+                if len(values):
+                    to_measured(solver, [setup], base.measured, self.measurements.noise_floor)
                 return setup
             solver.restore(first)
             if not walk:
