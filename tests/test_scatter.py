@@ -23,7 +23,7 @@ from wrod.identification.clamped.noise import (
     gain_of_scatter,
     scatter_rates,
 )
-from wrod.identification.clamped.scatter import what_is_left
+from wrod.identification.clamped.scatter import standing_apart, what_is_left
 from wrod.identification.clamped.selection import _weighed_anew
 from wrod.identification.clamped.steps import (
     base_fit,
@@ -31,7 +31,7 @@ from wrod.identification.clamped.steps import (
     instead_of_scatter,
 )
 from wrod.identification.clamped.trace import KNOTS, ProbedProfile, trace
-from wrod.identification.clamped.verdict import LEFT_OVER, _looks_like
+from wrod.identification.clamped.verdict import LEFT_OVER, _looks_like, judge
 from wrod.identification.effect import Model, effects
 
 
@@ -190,3 +190,18 @@ def test_what_is_seen_beside_effects_makes_them_look_like_it_only():
     assert "looks like gravity_tilt, but beside that is seen" in _looks_like(told, seen)
     assert not _looks_like(told, replace(seen, evidence=LEFT_OVER - 1.0))
     assert not _looks_like(told, None) and not _looks_like(base_fit(lab), seen)
+
+
+def test_a_trial_that_is_missed_by_far_is_named():
+    """A rod that something pushes aside by 20 mm, in one of the trials that are fitted: what is
+    left on the others says nothing of it, and where an effect is lacking no trial is blamed."""
+    data, _ = kept("none 1", 101, "pose")
+    seen = np.array(data["centerline"])
+    seen[3, :, 1] += 0.02 * np.sin(np.pi * np.array(data["arc_length"]) / data["length"])
+    lab = Laboratory(measurements_from_arrays(dict(data) | {"centerline": seen}))
+    empty = base_fit(lab)
+    found = judge(lab, empty, empty, [], (0.0, None))
+    assert list(found.apart) == [3] and found.apart[3] == pytest.approx(0.014, rel=0.2)
+    assert f"trial 3 ({1e3 * found.apart[3]:.1f} mm) is missed by far more" in found.reason
+    for case, seed, noise in (("none 1", 101, "pose"), ("anisotropic_bending", 11, "white")):
+        assert not standing_apart(laboratory(case, seed, noise), Model(), np.zeros(0))

@@ -105,6 +105,7 @@ class IdentificationReport(Report):
                 for t, b in enumerate(self.branches)
                 if b.negative or b.found > 1 or b.start == "saddle"
             ],
+            "trials_apart": [{"trial": t, "rms_mm": millimetres(o)} for t, o in s.apart.items()],
             "scatter": s.scatter.to_dict() if s.scatter else [],
             "changing": s.changing,
             "left_over": s.left_over.to_dict() if s.left_over else None,

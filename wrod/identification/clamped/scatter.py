@@ -27,6 +27,8 @@ _PLAY = {"m": 3e-3, "rad": np.deg2rad(3.0)}
 _ROLLS = {"clamp_roll", "grip_roll"}
 # A trial outweighs the others with so many times the squares of their median.
 OUTWEIGHS = 5.0
+# It stands apart where it is missed by so many times the median of all, and the noise floor.
+_APART, _APART_FLOORS = 5.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -99,3 +101,22 @@ def what_is_left(
             of = "mm" if unit == "m" else "deg"
             sizes[name] = Estimate(float(shown * size), float(shown * error), of)
     return TrialScatter(noise, sizes, float(np.sqrt(squares))), "", prints[0]
+
+
+def standing_apart(laboratory: Laboratory, model: Model, values: np.ndarray) -> dict[int, float]:
+    """By trial, the RMS distance from its markers [m] where a model misses it by far more than the
+    others, farthest first: one of another pose, of a rod that touched something or was wound."""
+    m = laboratory.measurements
+    seen = laboratory.predict(model, values)
+    off = np.array([laboratory.rms(seen, np.array([t])) for t in laboratory.trials])
+    far = off > max(_APART * np.nanmedian(off), _APART_FLOORS * m.noise_floor)
+    return {int(t): float(off[t]) for t in np.argsort(-off) if far[t]}
+
+
+def said_of(apart: dict[int, float]) -> str:
+    """A sentence about trials that stand apart, or nothing."""
+    if not apart:
+        return ""
+    each = ", ".join(f"{trial} ({1e3 * off:.1f} mm)" for trial, off in apart.items())
+    which = f"trial {each} is" if len(apart) == 1 else f"trials {each} are"
+    return f"{which} missed by far more than the others: look at the poses and markers there"

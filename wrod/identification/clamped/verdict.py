@@ -8,7 +8,7 @@ import numpy as np
 from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.scatter import TrialScatter, what_is_left
+from wrod.identification.clamped.scatter import TrialScatter, said_of, standing_apart, what_is_left
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.clamped.trace import SEEN, Print
 from wrod.identification.effect import Effect, Model
@@ -61,6 +61,7 @@ class Selection:
         left_over: the likeliest print beside the model; None where more than noise is left anyway.
         doubts: by place in the model, one with a profile about the effect there: what else it may
             be; by the place behind the last, one with an effect more that was too small to name.
+        apart: as `standing_apart` has it.
     """
 
     verdict: str
@@ -78,6 +79,7 @@ class Selection:
     changing: str = ""
     left_over: Print | None = None
     doubts: dict[int, Fit] = field(default_factory=dict)
+    apart: dict[int, float] = field(default_factory=dict)
 
 
 def judge(
@@ -136,6 +138,8 @@ def judge(
         verdict, reason = "unexplained", f"{said}; {reason}"
     if not scatter and verdict != "explained" and laboratory.noise.described():
         reason += f"; the noise is not what was declared: {laboratory.noise.described()}"
+    apart = standing_apart(laboratory, told.model, told.values)
+    reason += f"; {said_of(apart)}" if apart else ""
     named = told if verdict in ("explained", "partly-explained") else empty
     selection = Selection(
         verdict,
@@ -150,6 +154,7 @@ def judge(
         scatter=scatter,
         changing=changing,
         left_over=left_over,
+        apart=apart,
     )
     if named.model.effects:
         selection.doubts = {place: rich.spread() for place, rich in (doubts or {}).items()}
