@@ -31,7 +31,7 @@ from wrod.identification.clamped.steps import (
     instead_of_scatter,
 )
 from wrod.identification.clamped.trace import KNOTS, ProbedProfile, trace
-from wrod.identification.clamped.verdict import LEFT_OVER, _looks_like, judge
+from wrod.identification.clamped.verdict import LEFT_OVER, _looks_like, judge, only_so_far
 from wrod.identification.effect import Model, effects
 
 
@@ -205,3 +205,13 @@ def test_a_trial_that_is_missed_by_far_is_named():
     assert f"trial 3 ({1e3 * found.apart[3]:.1f} mm) is missed by far more" in found.reason
     for case, seed, noise in (("none 1", 101, "pose"), ("anisotropic_bending", 11, "white")):
         assert not standing_apart(laboratory(case, seed, noise), Model(), np.zeros(0))
+
+
+def test_what_seems_to_change_before_all_was_tried_may_be_an_effect():
+    """Base models of rods that a tilted gravity bends look so: a pull is another one in each."""
+    lab = laboratory("warming", 101)
+    empty = base_fit(lab)
+    found = judge(lab, empty, empty, [], (0.0, None))
+    said = "what seems to change may be an effect that was not tried"
+    assert said in only_so_far(replace(found, changing="a moment"), 90.0).reason
+    assert said not in only_so_far(replace(found, changing=""), 90.0).reason

@@ -205,6 +205,8 @@ def only_so_far(selection: Selection, seconds: float) -> Selection:
     been tried might do as well, and nothing is adequate."""
     least = {"explained": "partly-explained", "adequate": "unexplained"}
     reason = f"{seconds:g} s were not enough to try everything: {selection.reason}"
+    if selection.changing:
+        reason += "; what seems to change may be an effect that was not tried"
     verdict = least.get(selection.verdict, selection.verdict)
     return replace(selection, verdict=verdict, reason=reason, out_of_time=True)
 
