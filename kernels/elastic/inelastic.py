@@ -54,6 +54,18 @@ class Flow:
 
 
 @wp.func
+def weight_of(stiffness: wp.vec2d) -> wp.vec2d:
+    """B_k / B."""
+    return stiffness / (HALF * (stiffness[0] + stiffness[1]))
+
+
+@wp.func
+def cell(model: ElasticModel, r: int, i: int) -> wp.float64:
+    """Length that a node's curvature is over."""
+    return HALF * (model.rest_length[r, i - 1] + model.rest_length[r, i])
+
+
+@wp.func
 def one_less_exp_over(x: wp.float64) -> wp.float64:
     """(1 - exp(-x)) / x."""
     if x < SMALL:
@@ -108,6 +120,19 @@ def flow(node: Inelastic, excess: wp.vec2d, weight: wp.vec2d) -> Flow:
 
 
 @wp.func
+def by_lagging(node: Inelastic, excess: wp.vec2d, weight: wp.vec2d, now: Flow) -> wp.mat22d:
+    """Derivatives of z at the end by that at the start."""
+    eye = wp.identity(2, dtype=wp.float64)
+    if node.law == STANDARD_LINEAR_SOLID:
+        return wp.exp(-node.span / node.time) * eye
+    if node.law == DAHL:
+        change = excess - node.excess
+        size = wp.sqrt(wp.dot(change, wp.cw_mul(weight, change)))
+        return wp.exp(-size / node.scale) * eye
+    return now.tangent
+
+
+@wp.func
 def inelastic(excess: wp.vec3d, stiffness: wp.vec3d, node: Inelastic) -> Response:
     out = Response()
     if node.law == ELASTIC:
@@ -115,7 +140,7 @@ def inelastic(excess: wp.vec3d, stiffness: wp.vec3d, node: Inelastic) -> Respons
     b = wp.vec2d(stiffness[0], stiffness[1])
     mean = HALF * (b[0] + b[1])
     e = wp.vec2d(excess[0], excess[1])
-    now = flow(node, e, b / mean)
+    now = flow(node, e, weight_of(b))
     linear = wp.where(node.law == STANDARD_LINEAR_SOLID, ZERO, -node.share)
     out.energy = node.share * mean * now.work + HALF * linear * wp.dot(e, wp.cw_mul(b, e))
     moment = wp.cw_mul(b, node.share * now.z + linear * e)
@@ -195,11 +220,10 @@ def finish_flow(
     here = node[r, i]
     if accepted[r] == 0 or here.law == ELASTIC or b[0] == ZERO:
         return
-    rest = HALF * (model.rest_length[r, i - 1] + model.rest_length[r, i])
     s = stencil(dof, director, r, i)
-    excess = excess_curvature(s, rest, model.natural_curvature[r, i])
+    excess = excess_curvature(s, cell(model, r, i), model.natural_curvature[r, i])
     here.span = step[r]
-    now = flow(here, excess, b / (HALF * (b[0] + b[1])))
+    now = flow(here, excess, weight_of(b))
     here.excess = excess
     here.lagging = now.z
     # At rest from here on; a step says how long it lasts.

@@ -15,8 +15,11 @@ from wrod.kernels.elastic.inelastic import (
     PLASTIC,
     STANDARD_LINEAR_SOLID,
     Inelastic,
+    by_lagging,
+    cell,
     flow,
     one_less_exp_over,
+    weight_of,
 )  # fmt: skip
 from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.linear.banded_lu import ALONE
@@ -26,11 +29,6 @@ from wrod.kernels.stepping.trace import OneStep, Wanted
 wp.set_module_options({"enable_backward": False})
 
 STENCIL = wp.constant(11)
-
-
-@wp.func
-def cell(rod: ElasticModel, r: int, i: int) -> wp.float64:
-    return HALF * (rod.rest_length[r, i - 1] + rod.rest_length[r, i])
 
 
 @wp.func
@@ -46,11 +44,6 @@ def rate_by(s: Stencil, c: Component, m: int) -> wp.float64:
     if m < 3:
         return -e
     return wp.where(m > 7, f, e - f)
-
-
-@wp.func
-def weight_of(stiffness: wp.vec2d) -> wp.vec2d:
-    return stiffness / (HALF * (stiffness[0] + stiffness[1]))
 
 
 @wp.func
@@ -165,13 +158,7 @@ def want_remembered(
     want_excess(rod, model, r, i, here.excess, -by_change)
     early = by_change / cell(rod, r, i)
     before.strain[r, i] = before.strain[r, i] - wp.vec4d(early[0], early[1], ZERO, ZERO)
-    kept = by_change
-    if here.law == STANDARD_LINEAR_SOLID:
-        kept = wp.exp(-here.span / here.time) * by_z
-    if here.law == DAHL:
-        change = excess - here.excess
-        size = wp.sqrt(wp.dot(change, wp.cw_mul(weight, change)))
-        kept = wp.exp(-size / here.scale) * by_z
+    kept = wp.transpose(by_lagging(here, excess, weight, to)) * by_z
     before.lagging[r, i] = before.lagging[r, i] + kept
     model.bending[r, i] = (
         model.bending[r, i]

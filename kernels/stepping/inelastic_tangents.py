@@ -12,11 +12,13 @@ import warp as wp
 from wrod.kernels.elastic.curvature import excess_curvature, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.elastic.inelastic import (
-    DAHL,
     ELASTIC,
     STANDARD_LINEAR_SOLID,
     Inelastic,
+    by_lagging,
+    cell,
     flow,
+    weight_of,
 )
 from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.stepping.flow_tangents import Strains, is_under_way, strain_rate
@@ -38,19 +40,11 @@ class Memory:
 
 
 @wp.func
-def weight_of(b: wp.vec2d) -> wp.vec2d:
-    return b / (HALF * (b[0] + b[1]))
-
-
-@wp.func
-def cell_of(model: ElasticModel, r: int, i: int):
-    """Length of a node's cell, and the share that is not beyond the grip."""
-    before = model.rest_length[r, i - 1]
-    length = HALF * (before + model.rest_length[r, i])
-    share = ONE
+def share_bent(model: ElasticModel, r: int, i: int) -> wp.float64:
+    """Share of a node's cell that is not beyond the grip."""
     if i == model.rest_length.shape[1] - 1:
-        share = HALF * before / length
-    return length, share
+        return HALF * model.rest_length[r, i - 1] / cell(model, r, i)
+    return ONE
 
 
 @wp.kernel
@@ -75,7 +69,8 @@ def linearise_memory(
     out = Memory()
     here = node[r, i]
     b = model.bending[r, i]
-    length, share = cell_of(model, r, i)
+    length = cell(model, r, i)
+    share = share_bent(model, r, i)
     out.length = length
     out.share = share
     if here.law != ELASTIC and b[0] != ZERO:
@@ -84,15 +79,8 @@ def linearise_memory(
         weight = weight_of(b)
         to = flow(here, excess, weight)
         out.by_excess = to.tangent
-        out.by_z = to.tangent
-        linear = -here.share
-        if here.law == STANDARD_LINEAR_SOLID:
-            linear = ZERO
-            out.by_z = wp.exp(-here.span / here.time) * wp.identity(2, dtype=wp.float64)
-        if here.law == DAHL:
-            change = excess - here.excess
-            way = wp.sqrt(wp.dot(change, wp.cw_mul(weight, change)))
-            out.by_z = wp.exp(-way / here.scale) * wp.identity(2, dtype=wp.float64)
+        out.by_z = by_lagging(here, excess, weight, to)
+        linear = wp.where(here.law == STANDARD_LINEAR_SOLID, ZERO, -here.share)
         out.moment = here.share * b
         rates = strains[r, i]
         rates.natural -= share * (wp.diag(out.moment) * to.tangent + linear * wp.diag(b))
@@ -122,7 +110,7 @@ def begin_memory(
     here.lagging = wp.vec2d(ZERO, ZERO)
     here.span = wp.float64(wp.inf)
     t = flow(here, excess, weight_of(b)).tangent
-    _, share = cell_of(model, r, i)
+    share = share_bent(model, r, i)
     a = 4 * i
     for k in range(2):
         n_1 = natural_rate[r, p, 0]
