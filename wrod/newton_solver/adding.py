@@ -16,6 +16,14 @@ from wrod.rods.material import RodMaterial, ask_after_units
 from wrod.rods.model import RodModel
 
 _OF_JOINT = arguments.optional(arguments.number(above=0.0))
+# What Newton's description of a rod comes with.
+_DESCRIBED = {
+    "rod": arguments.like("a newton.Rod", "points", "edges", "quaternions"),
+    "stretch_stiffness": _OF_JOINT,
+    "bend_stiffness": _OF_JOINT,
+    "twist_stiffness": _OF_JOINT,
+    "bend_damping": arguments.optional(arguments.number(0.0, 1e12)),
+}
 _COLOR = arguments.several(arguments.number(0.0, 1.0), least=3)
 
 
@@ -119,15 +127,7 @@ class RodBuilding:
         return attributes.add_rod(builder, rod, held, damping, touches_rods, look)
 
     @staticmethod
-    @arguments.checked(
-        RodError,
-        rod=arguments.like("a newton.Rod", "points", "edges", "quaternions"),
-        density=arguments.number(0.0, 1e6),
-        stretch_stiffness=_OF_JOINT,
-        bend_stiffness=_OF_JOINT,
-        twist_stiffness=_OF_JOINT,
-        bend_damping=arguments.optional(arguments.number(0.0, 1e12)),
-    )
+    @arguments.checked(RodError, density=arguments.number(0.0, 1e6), **_DESCRIBED)
     def add_newton_rod(
         builder: newton.ModelBuilder,
         rod: newton.Rod,
@@ -176,13 +176,7 @@ class RodBuilding:
 
     @staticmethod
     @arguments.checked(
-        RodError,
-        rod=arguments.like("a newton.Rod", "points", "edges", "quaternions"),
-        cfg=arguments.optional(arguments.like("a ShapeConfig", "density")),
-        stretch_stiffness=_OF_JOINT,
-        bend_stiffness=_OF_JOINT,
-        twist_stiffness=_OF_JOINT,
-        bend_damping=arguments.optional(arguments.number(0.0, 1e12)),
+        RodError, cfg=arguments.optional(arguments.like("a ShapeConfig", "density")), **_DESCRIBED
     )
     def add_cable(
         builder: newton.ModelBuilder,
