@@ -110,9 +110,8 @@ def add_cable(
     bodies = [-1] * len(described.edges)
     for rod, edges in add_described(builder, described, density, joints, add, **look):
         weigh(builder, rod)
-        for edge, body in zip(
-            edges, capsules(builder, rod), strict=False
-        ):  # single ones are halved
+        # Of an edge that is halved the first half counts.
+        for edge, body in zip(edges, capsules(builder, rod), strict=False):
             bodies[edge] = body
     return bodies, [builder.joint_child.index(body) for body in bodies]
 
