@@ -113,6 +113,7 @@ class RodGroup:
         self._made_of = self._fixed_properties()
         count, nodes = self.place.shape
         self.changed = wp.zeros(count, dtype=wp.int32, device=device)
+        self._seen = self.changed.numpy() if self.place.device.is_cpu else None
         # What a device tells the host without being waited for.
         self._diverged, self._overflow = (
             wp.zeros(count, dtype=wp.int32, device="cpu", pinned=self.place.device.is_cuda)
@@ -288,20 +289,28 @@ class RodGroup:
         batch.launch(exchange.pull_nodes, shape, inputs, [batch.point_load])
         if self.bodies is not None:
             self.bodies.find_changes(state_in.body_q, state_in.body_qd, self.changed)
-        inputs = [self.place, batch.rest_length, self.changed, *source]
-        batch.launch(exchange.read_state, shape, inputs, [state.dof, dynamics.velocity])
-        self._read_frames(der)
+        anew = self._may_have_changed()
+        if anew:
+            inputs = [self.place, batch.rest_length, self.changed, *source]
+            batch.launch(exchange.read_state, shape, inputs, [state.dof, dynamics.velocity])
+            self._read_frames(der)
         if self.bodies is not None:
             self.bodies.read(
                 self.changed, state_in.body_q, state_in.body_qd, state_in.body_f, state,
                 dynamics.velocity,
             )  # fmt: skip
-            batch.transport_frames(state, state, self.changed)
-        if self.shape_contact is not None:
+            if anew:
+                batch.transport_frames(state, state, self.changed)
+        if anew and self.shape_contact is not None:
             # What rods lie in from the first is told by where shapes are, which others have moved.
             times = [self.changed, self.changed, dynamics.until, dynamics.time, dynamics.span]
             self.shape_contact.follow(self.duration, times, [self.body_before, self.body_q])
-        dynamics.restart(self.changed)
+        if anew:
+            dynamics.restart(self.changed)
+
+    def _may_have_changed(self) -> bool:
+        """Of any row; a CPU looks, as launches that find none would take longer."""
+        return self._seen is None or self.place.device.is_capturing or bool(self._seen.any())
 
     def _read_frames(self, der) -> None:
         state = self.batch.state

@@ -204,6 +204,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
             group.dynamics.max_iterations = self._max_iterations
         self._gradients = Gradients(model, self._groups)
         held = [b for b in self._holds.bodies if not self._own[b]]
+        touching = [c for g in self._groups for c in (g.shape_contact, g.body_contact) if c]
+        self._is_felt = bool(held or touching)
         moved = model.body_flags.numpy()[held] & int(newton.BodyFlags.DYNAMIC) != 0
         massive = model.body_mass.numpy()[held] > 0
         self._others = [b for b, m in zip(held, moved & massive, strict=True) if m]
@@ -302,7 +304,8 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         wp.copy(before, after)
         for group in self._groups:
             group.write(state_out)
-        self._loads.measure(self._groups, self.load_relaxation)
+        if self._is_felt:
+            self._loads.measure(self._groups, self.load_relaxation)
         if device.is_cpu and not device.is_capturing:
             self._listen()
 
