@@ -17,7 +17,9 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/wrod compile
 	touch $@
 
+# The installation compiles what commands launch; this, for a minute or two, what programs and tests do.
 setup: $(STAMP)
+	$(BIN)/python tests/compiled.py
 
 demo: $(STAMP)
 	$(BIN)/wrod plan letter-A --rod green-vps --out out/letter-A

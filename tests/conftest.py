@@ -7,6 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from compiled import leave_out_adjoints
 
 import wrod
 
@@ -16,15 +17,13 @@ gc.disable()
 gc.set_threshold(100_000, 20, 20)
 
 
-# Modules of Newton that tests launch no adjoint of: with it a compiler takes four times as long.
-_FORWARD = (
-    "sim.articulation",
-    "solvers.featherstone.kernels",
-    "solvers.mujoco.kernels",
-    "solvers.vbd.rigid_vbd_kernels",
-    "solvers.xpbd.kernels",
-    "viewer.kernels",
-)
+# Kernels' modules that were compiled before the first test, and that tests had to wait for.
+_there: set[str] = set()
+_by_the_way: set[str] = set()
+
+
+def _compiled():
+    return set(os.listdir(sys.modules["warp"].config.kernel_cache_dir))
 
 
 def pytest_collection_finish():
@@ -33,9 +32,21 @@ def pytest_collection_finish():
     gc.freeze()
     gc.enable()
     if "warp" in sys.modules:
-        for name in _FORWARD:
-            module = sys.modules["warp"].get_module(f"newton._src.{name}")
-            module.options["enable_backward"] = False
+        leave_out_adjoints()
+        _there.update(_compiled())
+
+
+def pytest_sessionfinish(session):
+    """Tell what was compiled by the way, of each process of several."""
+    told = getattr(session.config, "workeroutput", {})
+    told["compiled"] = sorted(_compiled() - _there) if "warp" in sys.modules else []
+    _by_the_way.update(told["compiled"])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    """A process of several has ended."""
+    _by_the_way.update(getattr(node, "workeroutput", {}).get("compiled", []))
 
 
 def pytest_unconfigure():
@@ -92,7 +103,11 @@ def tried(record_property):
 
 
 def pytest_terminal_summary(terminalreporter):
-    """Which hostile inputs were tried, over all tests."""
+    """Which kernels were compiled by the way, and which hostile inputs tried, over all tests."""
+    if _by_the_way:
+        names = sorted(name.removeprefix("wp_").rpartition("_")[0] for name in _by_the_way)
+        said = f"{len(names)} modules of kernels (`make setup` does it beforehand)"
+        terminalreporter.line(f"compiled by the way: {said}: {', '.join(names)}")
     tried, refused = Counter(), Counter()
     for reports in terminalreporter.stats.values():
         for report in reports:

@@ -101,7 +101,8 @@ def scenes():
 
     lying = wp.quat_from_axis_angle(wp.vec3(0, 1, 0), np.pi / 2)
     upside_down = wp.quat_from_axis_angle(wp.vec3(1, 0, 0), np.pi)
-    cube = newton.Mesh(0.05 * CUBE, np.array(solids_of_cube()).ravel())
+    triangles = np.array(solids_of_cube()).ravel()
+    cube = newton.Mesh(0.05 * CUBE, triangles, compute_inertia=False)
     flat = newton.Heightfield(np.zeros((4, 4)), 4, 4, hx=0.2, hy=0.2)
     return {
         "sphere": lambda b: b.add_shape_sphere(-1, xform=at(-0.5), radius=0.5),

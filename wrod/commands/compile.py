@@ -27,6 +27,7 @@ _LONG = (
     "elastic.softened_bending:softened_elasticity",
     "elastic.section",
     "stepping.motion_tangents",
+    "linear.banded_lu:assemble",
 )
 # What few commands launch: for rods that touch rods or what has edges, those that are curved by
 # nature or bodies of Newton's. Gradients are for programs: no command launches an adjoint.
@@ -40,6 +41,8 @@ _RARE = (
     "contact.rods",
     "grasping.reading:read_general",
     "grasping.general_rod",
+    "grasping.memory:follow_flow",
+    "grasping.memory:read_curvature",
     "contact.pairs",
     "contact.touching",
     "linear.skyline",
@@ -53,6 +56,8 @@ _RARE = (
     "stepping.body_shapes",
     "stepping.carrying",
     "stepping.exchange",
+    "stepping.adjoint:assemble",
+    "stepping.adjoint:fill_coupled",
 )
 _PICTURE, _ALL = "pictures of scenes", "all"  # kernels that are no module's
 

@@ -1,0 +1,74 @@
+"""Kernels that tests launch, compiled ahead and several at a time: `make setup` does it.
+
+All of wrod's, also those that only a GPU has use for; what tests launch of Newton's; their own.
+"""
+
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+
+from wrod.commands import compile as ahead
+from wrod.machine import usable_cores
+from wrod.side_by_side import run
+
+# Modules of Newton that tests launch no adjoint of: with it a compiler takes four times as long.
+FORWARD = (
+    "geometry.inertia",
+    "sim.articulation",
+    "solvers.featherstone.kernels",
+    "solvers.mujoco.kernels",
+    "solvers.vbd.rigid_vbd_kernels",
+    "solvers.xpbd.kernels",
+    "viewer.kernels",
+)
+_NEWTON = (*FORWARD, "geometry.differentiable_contacts", "geometry.narrow_phase", "sim.collide")
+_GPU = (
+    "factor_lanes",
+    "banded_ends",
+    "banded_lanes",
+    "skyline_ends",
+    "skyline_lanes",
+    "condensing",
+)
+_HERE = Path(__file__).parent
+
+
+def leave_out_adjoints() -> None:
+    """Out of what is compiled of Newton's from now on."""
+    for name in FORWARD:
+        sys.modules["warp"].get_module(f"newton._src.{name}").options["enable_backward"] = False
+
+
+def _compile(name: str) -> str | None:
+    """Do a part of the work; what went wrong, if anything."""
+    import warp as wp
+    import wrod.kernels  # noqa: F401  which starts Warp quietly
+
+    try:
+        if name.startswith("wrod."):
+            return ahead._compile("cpu", name)
+        sys.path += [str(_HERE), str(_HERE / "physics")]
+        leave_out_adjoints()
+        import_module(name)
+        wp.force_load("cpu", [wp.get_module(name)], block_dim=1)
+    except Exception as error:
+        return f"{name}: not compiled ({error})"
+    return None
+
+
+def main() -> int:
+    """Compile them; how many were not."""
+    names = [f"newton._src.{name}" for name in _NEWTON] + ahead._wanted(rare=True)
+    names += [f"wrod.kernels.linear.{name}" for name in _GPU]
+    files = [file for file in _HERE.rglob("*.py") if "\n@wp.kernel" in file.read_text()]
+    names += [file.stem for file in files]
+    os.environ["PYTHONDONTWRITEBYTECODE"] = ""
+    wrong = [said for _, said in run(_compile, [(name,) for name in names], usable_cores())]
+    for said in filter(None, wrong):
+        print(said, file=sys.stderr)
+    return len(list(filter(None, wrong)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
