@@ -50,8 +50,10 @@ lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
+# What mypy makes stays to its end: to search it for garbage takes a quarter of all the time.
 types: $(STAMP)
-	$(BIN)/python -m mypy
+	$(BIN)/python -c "import gc; gc.enable = gc.disable; gc.disable(); \
+		from mypy.__main__ import console_entry; console_entry()"
 
 docs: $(STAMP)
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs out/docs
