@@ -1,6 +1,8 @@
 """An effect whose law along the rod is not the rod's gives way to a profile; one whose is stays."""
 
+from copy import copy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,6 +27,12 @@ from wrod.identification.effect import Model, effects
 
 def by_a_line(case: str):
     """(laboratory, the straight line that is fitted to the stiffness, truth) of a hidden set."""
+    laboratory, line, truth = _fitted(case)
+    return copy(laboratory), line, truth  # of which some take noise and correction anew
+
+
+@cache
+def _fitted(case: str):
     data, truth = kept(case, 501, "correlated-0.7")
     laboratory = Laboratory(measurements_from_arrays(data), edge_count=120)
     model = Model((effects()["stiffness_gradient"],))
