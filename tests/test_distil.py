@@ -134,9 +134,9 @@ def test_models_of_the_error_say_what_a_network_lays(monkeypatch):
     monkeypatch.setattr(descent, "_TOLERANCE", 1e-5)
     (one,) = follow([plans.solve(0, 0)], hold=0.05)
     assert one.errors[1] < 0.5 * one.errors[0]
-    values = {}
-    for forward in (0.0, 0.001, -0.001):
-        (laid,) = follow([plans.visit(0, 0, one, constant(forward))], hold=0.05)
+    values, ways = {}, (0.0, 0.001, -0.001)
+    visits = follow([plans.visit(0, 0, one, constant(forward)) for forward in ways], hold=0.05)
+    for forward, laid in zip(ways, visits, strict=True):
         moved = np.broadcast_to([forward, 0.0, 0.0], laid.anchors[2].shape)
         assert laid.anchors[2] == pytest.approx(moved, abs=1e-12)
         values[forward] = laid.bowls[2].value

@@ -79,9 +79,10 @@ def test_a_table_of_two_frictions_is_told_by_what_slid_on_it(two_bends):
         path = GripWay(trajectory).until(to).path
         trial = Trial(pattern, rod, path, Friction(0.4), Disturbance(), Tail.none(path))
         (lies,) = lay([trial], friction_field=field, remembered=went_on, **same)
-        for beliefs, rng in zip(told, cameras, strict=True):
+        for beliefs in told:
             beliefs.looking(0.5)
-            follow([beliefs.update(to, path, [Seen.of(lies, to, Sight(), rng)], **same)])
+        seen = [[Seen.of(lies, to, Sight(), rng)] for rng in cameras]
+        follow([b.update(to, path, s, **same) for b, s in zip(told, seen, strict=True)])
     mu, error = np.array([beliefs.under(at) for beliefs in told]).swapaxes(0, 1)
     assert all(beliefs.field is not None for beliefs in told) and error.max() < 0.3
     assert (np.abs(np.log(mu / [0.4, 0.16]).mean(axis=0)) < 2.0 * error.mean(axis=0)).all()
