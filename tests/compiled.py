@@ -5,6 +5,7 @@ All of wrod's, also those that only a GPU has use for; what tests launch of Newt
 
 import os
 import sys
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -46,7 +47,7 @@ def _compile(name: str) -> str | None:
     import wrod.kernels  # noqa: F401  which starts Warp quietly
 
     try:
-        if name.startswith("wrod."):
+        if name.startswith("wrod.kernels."):
             return ahead._compile("cpu", name)
         sys.path += [str(_HERE), str(_HERE / "physics")]
         leave_out_adjoints()
@@ -57,12 +58,19 @@ def _compile(name: str) -> str | None:
     return None
 
 
+def _files() -> Iterator[tuple[str, Path]]:
+    """(module, file) of tests, and of wrod but for its kernels."""
+    for file in _HERE.rglob("*.py"):
+        yield file.stem, file
+    for file in (_HERE.parent / "wrod").rglob("*.py"):
+        yield ".".join(file.relative_to(_HERE.parent).with_suffix("").parts), file
+
+
 def main() -> int:
     """Compile them; how many were not."""
     names = [f"newton._src.{name}" for name in _NEWTON] + ahead._wanted(rare=True)
     names += [f"wrod.kernels.linear.{name}" for name in _GPU]
-    files = [file for file in _HERE.rglob("*.py") if "\n@wp.kernel" in file.read_text()]
-    names += [file.stem for file in files]
+    names += [name for name, file in _files() if "\n@wp.kernel" in file.read_text()]
     os.environ["PYTHONDONTWRITEBYTECODE"] = ""
     wrong = [said for _, said in run(_compile, [(name,) for name in names], usable_cores())]
     for said in filter(None, wrong):
