@@ -23,6 +23,8 @@ _by_the_way: set[str] = set()
 
 
 def _compiled():
+    import wrod.kernels  # noqa: F401  which starts Warp, and so says where they are
+
     return set(os.listdir(sys.modules["warp"].config.kernel_cache_dir))
 
 
@@ -105,9 +107,9 @@ def tried(record_property):
 def pytest_terminal_summary(terminalreporter):
     """Which kernels were compiled by the way, and which hostile inputs tried, over all tests."""
     if _by_the_way:
-        names = sorted(name.removeprefix("wp_").rpartition("_")[0] for name in _by_the_way)
-        said = f"{len(names)} modules of kernels (`make setup` does it beforehand)"
-        terminalreporter.line(f"compiled by the way: {said}: {', '.join(names)}")
+        names = {name.removeprefix("wp_").rpartition("_")[0] for name in _by_the_way}
+        said = "kernels compiled meanwhile (`make setup` does it beforehand)"
+        terminalreporter.line(f"{said}: {', '.join(sorted(names))}")
     tried, refused = Counter(), Counter()
     for reports in terminalreporter.stats.values():
         for report in reports:
