@@ -17,9 +17,11 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/wrod compile
 	touch $@
 
-# The installation compiles what commands launch; this, for a minute or two, what programs and tests do.
+# The installation compiles what commands launch; this what programs and tests do, and their bytecode.
+setup: export PYTHONDONTWRITEBYTECODE =
 setup: $(STAMP)
 	$(BIN)/python tests/compiled.py
+	$(BIN)/python -m pytest -qq --collect-only > /dev/null
 
 demo: $(STAMP)
 	$(BIN)/wrod plan letter-A --rod green-vps --out out/letter-A

@@ -3,7 +3,6 @@
 All of wrod's, also those that only a GPU has use for; what tests launch of Newton's; their own.
 """
 
-import os
 import sys
 from collections.abc import Iterator
 from importlib import import_module
@@ -71,7 +70,6 @@ def main() -> int:
     names = [f"newton._src.{name}" for name in _NEWTON] + ahead._wanted(rare=True)
     names += [f"wrod.kernels.linear.{name}" for name in _GPU]
     names += [name for name, file in _files() if "\n@wp.kernel" in file.read_text()]
-    os.environ["PYTHONDONTWRITEBYTECODE"] = ""
     wrong = [said for _, said in run(_compile, [(name,) for name in names], usable_cores())]
     for said in filter(None, wrong):
         print(said, file=sys.stderr)
