@@ -244,6 +244,7 @@ class _Restricted:
         self.read, self.width = read, own.shape[2]
         self.columns[:, :, 1 + self.width :] *= np.repeat(_SCALES, COLUMNS)
         self.span = float(arc_length[-1] - arc_length[0])
+        self._last: tuple[tuple, tuple[np.ndarray, float]] | None = None
 
     def best(self) -> NoiseModel:
         """The likeliest noise among white, correlated, scattered and both, each paid for."""
@@ -341,14 +342,13 @@ class _Restricted:
 
     def value(self, size, share, length, scatter) -> float:
         """-2 log of the restricted likelihood, up to a constant."""
-        x, log_det = self._whitened(_along(size, share, length, self.arc_length))
+        products, log_det = self._products(size, share, length)
         width = self.width
-        own = x[:, :, : 1 + width]
-        gram = own.mT @ own
+        gram = products[:, : 1 + width, : 1 + width]
         if np.any(scatter):
-            u = x[:, :, 1 + width :] * np.repeat(scatter, COLUMNS)
-            inner = np.eye(u.shape[2]) + u.mT @ u
-            cross = u.mT @ own
+            u = np.repeat(scatter, COLUMNS)[:, None]
+            inner = np.eye(len(u)) + u * products[:, 1 + width :, 1 + width :] * u.T
+            cross = u * products[:, 1 + width :, : 1 + width]
             gram = gram - cross.mT @ np.linalg.solve(inner, cross)
             log_det += float(np.linalg.slogdet(inner)[1].sum())
         gram = gram.sum(axis=0)
@@ -358,6 +358,14 @@ class _Restricted:
             square -= gram[0, 1:] @ np.linalg.solve(matrix, gram[0, 1:])
             log_det += float(np.linalg.slogdet(matrix)[1])
         return float(square + log_det)
+
+    def _products(self, *along) -> tuple[np.ndarray, float]:
+        """(t, 1 + P + 15, 1 + P + 15) products of columns in independent readings, and the log
+        determinant of the common covariance; those of the last noise along the rod are kept."""
+        if self._last is None or self._last[0] != along:
+            x, log_det = self._whitened(_along(*along, self.arc_length))
+            self._last = along, (x.mT @ x, log_det)
+        return self._last[1]
 
     def _whitened(self, along):
         """Columns in independent readings, and the log determinant of the common covariance."""
