@@ -434,7 +434,7 @@ CALLS = {
     "identify": lambda: (
         wrod.identify,
         dict(
-            measurements=files()["clamped"], test=None, candidates=None, device="cpu",
+            measurements=files()["clamped"], test=None, candidates=["stiffness"], device="cpu",
             progress=None,
         ),
     ),
