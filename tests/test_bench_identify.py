@@ -125,7 +125,7 @@ def test_the_bound_of_a_magnet_is_what_linear_estimates_scatter_by():
     """Readings of the true model with noise of its own, fitted to first order."""
     m = measurements_from_arrays(kept("none 1", 101, "pose")[0])
     pull = {("strength",): (0.1,), ("x", "y", "z"): (0.4, 0.0, 0.2)}
-    place, size = limit_of(m, pull)
+    place, size = limit_of(m, {"attraction": pull})
     values = np.array([*pull[("strength",)], *pull[("x", "y", "z")], np.log(MAGNET_REACH)])
     laboratory, rng = Laboratory(m), np.random.default_rng(3)
     _, rates = laboratory.jacobian(Model((Attraction([values]),)), values)

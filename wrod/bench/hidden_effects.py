@@ -18,6 +18,7 @@ TRIALS = 24
 _AIR_DRAG = 1.2 * 1.2  # rho_air C_d, as the plug-in takes it [kg/m^3]
 # A sleeve's ends go from a fifth to four fifths within three times this [m].
 _SLEEVE_END = 5e-4
+KINK_WIDTH, DRAUGHT_END, MAGNET_REACH = 0.008, 0.01, 0.05  # [m]
 
 Truth = dict[tuple[str, ...], tuple[float, ...]]
 
@@ -295,7 +296,8 @@ def kink(rng, rod):
     place, bend = _between(rng, 0.3, 0.7) * rod.length, _in_plane(rng, 0.5, 0.8)
     truth = _vector("local_bend", ("angle_1", "angle_2"), bend)
     truth["local_bend"][("arc_length",)] = (place,)
-    return Hidden(Experiment(curvature=lambda s: bend[:, None] * _bump(s, place, 0.008)), truth)
+    bent = Experiment(curvature=lambda s: bend[:, None] * _bump(s, place, KINK_WIDTH))
+    return Hidden(bent, truth)
 
 
 def half_draught(rng, rod):
@@ -304,7 +306,8 @@ def half_draught(rng, rod):
     force = np.append(_in_plane(rng, 0.2, 0.35), 0.0)[:, None] * rod.weight
     truth = _vector("local_load", ("force_x", "force_y", "force_z"), force[:, 0])
     truth["local_load"][("start",)] = (place,)
-    return Hidden(Experiment(force=lambda s: force / (1.0 + np.exp((place - s) / 0.01))), truth)
+    blown = Experiment(force=lambda s: force * expit((s - place) / DRAUGHT_END))
+    return Hidden(blown, truth)
 
 
 def sticking_roll(rng, rod):
@@ -347,9 +350,6 @@ def sleeve(rng, rod):
     truth["stretch"][("extra_compliance",)] = ((1.0 / stiff - 1.0) * length,)
     truth["stretch"][("start", "stop")] = (start, start + length)
     return Hidden(stiff_along(factor, mass=lambda s: heavy * line * window(s)[None]), truth)
-
-
-MAGNET_REACH = 0.05  # [m]
 
 
 def magnet(rng, rod):

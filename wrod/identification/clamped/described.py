@@ -17,7 +17,7 @@ from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_an
 # the square of it.
 _END = 1e-3
 # That of a load's ends as a share of the load's length, within a factor of e.
-_SOFT_END = 0.025
+SOFT_END = 0.025
 # Cells that a load's moments are sums over.
 _CELLS = 400
 
@@ -189,7 +189,7 @@ class LocalLoad(Described):
         """(force per length, start, stop, width of the ends) of the load that has as much in sum as
         the parameters say, its centroid there, and spread like a sharp one as long as `breadth`: a
         variance of length^2 / 12 + pi^2 end^2 / 3, were the rod longer."""
-        share = _SOFT_END * np.exp(values[5])
+        share = SOFT_END * np.exp(values[5])
         length = values[4] / np.sqrt(1.0 + (2.0 * np.pi * share) ** 2)
         start = values[3] - 0.5 * length
         return np.asarray(values[:3]) / length, start, start + length, share * length
