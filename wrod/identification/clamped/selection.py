@@ -36,12 +36,14 @@ from wrod.identification.clamped.steps import (
     has_profile,
     instead_of_scatter,
     leaner,
+    on_finer_mesh,
     pairs_beside,
     pruned,
     reordered,
 )
 from wrod.identification.clamped.verdict import (
     BIC_MARGIN,
+    LEFT_OVER,
     Round,
     Selection,
     at_noise_of,
@@ -51,7 +53,6 @@ from wrod.identification.clamped.verdict import (
 from wrod.identification.effect import Effect
 
 MOST_EFFECTS = 3
-_FINE = 4 / 3
 # Laws of bending, and effects that one of unknown form may be taken for.
 _LAWS = ("softening", "stiffening", "yielding")
 _LIKE_A_LAW = (*_LAWS, "stiffness", "anisotropic_bending")
@@ -69,11 +70,11 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, build: bool = Fa
     """
     try:
         current, rounds, held_out = _chosen(laboratory, candidates, build)
-        final = kept(laboratory, _polished(laboratory, current), rounds)
+        final = kept(laboratory, on_finer_mesh(laboratory, current), rounds)
         final, held_out, doubts = refined(laboratory, final, rounds, held_out, build)
         laboratory.clock.extend()
         found = judge(laboratory, final, base_fit(laboratory), rounds, held_out, doubts)
-        return _or_drifting(laboratory, candidates, final, found) if build else found
+        return _or_another(laboratory, candidates, final, found) if build else found
     except OutOfTime:
         return _so_far(laboratory)
     finally:
@@ -209,29 +210,38 @@ def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, k
     return found
 
 
-def _or_drifting(laboratory: Laboratory, candidates, final: Fit, found: Selection) -> Selection:
-    """The verdict on a model of what comes or goes, where something is found to change and that is
-    what does; else the one that is there."""
-    if not found.changing:
+def _or_another(laboratory: Laboratory, candidates, final: Fit, found: Selection) -> Selection:
+    """The verdict on what was found, or on another model that explains all: one of effects that are
+    built, where something is seen beside those that were found; else one of what comes or goes,
+    where something is found to change, or trials that come later are missed by more than those
+    that were fitted."""
+    if found.verdict in ("explained", "adequate"):
         return found
-    before = laboratory.noise, laboratory.scatter_rates
-    laboratory.set_noise(NoiseModel())
-    empty = base_fit(laboratory)
-    few = 0 < len(final.model.effects) < MOST_EFFECTS and not has_profile(final.model)
-    fits = with_drift(laboratory, candidates, empty)
-    fits = best_of_each([*fits, *(with_drift(laboratory, candidates, final) if few else [])])
+    noise, correction = (laboratory.noise, laboratory.scatter_rates), laboratory.mesh_correction
+    if found.left_over and found.left_over.evidence > LEFT_OVER and not found.changing:
+        empty = base_fit(laboratory)
+        fits = extensions(laboratory, empty, _built(laboratory, found.ranking))
+    elif found.changing or _at_noise(laboratory, final):
+        laboratory.set_noise(NoiseModel())
+        empty = base_fit(laboratory)
+        few = 0 < len(final.model.effects) < MOST_EFFECTS and not has_profile(final.model)
+        fits = with_drift(laboratory, candidates, empty)
+        fits = best_of_each([*fits, *(with_drift(laboratory, candidates, final) if few else [])])
+    else:
+        return found
     if fits:
         base = held_out_error(laboratory, empty)
         step, ahead = judged(laboratory, empty, empty, fits[0], fits, base)
         if step.accepted:
             laboratory.refine(fits[0].model, fits[0].values)
             laboratory.set_noise(*estimate(laboratory, fits[0].model, fits[0].values))
-            best = _weighed_anew(laboratory, fits[0])
-            steps, held_out = [*found.rounds, step], (base.rms, ahead.rms)
-            again = judge(laboratory, best, base_fit(laboratory), steps, held_out)
+            best, steps = _weighed_anew(laboratory, fits[0]), [*found.rounds, step]
+            best, held_out, doubts = refined(laboratory, best, steps, (base.rms, ahead.rms))
+            again = judge(laboratory, best, base_fit(laboratory), steps, held_out, doubts)
             if again.verdict == "explained" and again.fit.model.effects:
                 return again
-    laboratory.set_noise(*before)
+    laboratory.mesh_correction = correction
+    laboratory.set_noise(*noise)
     return found
 
 
@@ -380,21 +390,3 @@ def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[R
     rounds.append(step)
     better = step.accepted and ahead.squares.sum() < held_out.squares.sum()
     return (best, ahead) if better else (current, held_out)
-
-
-def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
-    """Fit again on a finer mesh, extrapolated at the model that was found."""
-    fine = Laboratory(
-        laboratory.measurements,
-        edge_count=int(_FINE * laboratory.edge_count),
-        device=laboratory.device,
-    )
-    fine.clock = laboratory.clock
-    fine.set_noise(laboratory.noise, laboratory.scatter_rates)
-    if not fit.model.effects:
-        laboratory.adopt(fine)
-        return base_fit(laboratory)
-    fine.refine(fit.model, fit.values)
-    polished = fit_models(fine, [fit.model], [fit.values], origin=fit, race=False)[0]
-    laboratory.adopt(fine)
-    return polished

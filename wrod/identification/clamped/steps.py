@@ -17,6 +17,8 @@ from wrod.identification.clamped.scatter import OUTWEIGHS
 from wrod.identification.clamped.verdict import BIC_MARGIN, Round
 from wrod.identification.effect import Effect, Model
 
+# Edges of the last fit's mesh over those of the search's.
+_FINE = 4 / 3
 # How often rods are put on nearer equilibria.
 _SETTLES = 4
 # Pairs to fit, and how many standard deviations of chi squared deserve them.
@@ -250,6 +252,24 @@ def _join_last(rounds: list[Round], current: Fit, fits: list[Fit]) -> None:
             step.fits = best_of_each([*step.fits, *fits])
             step.gains = [before - f.bic for f in step.fits]
             return
+
+
+def on_finer_mesh(laboratory: Laboratory, fit: Fit) -> Fit:
+    """Fit again on a finer mesh, extrapolated at the model that was found."""
+    fine = Laboratory(
+        laboratory.measurements,
+        edge_count=int(_FINE * laboratory.edge_count),
+        device=laboratory.device,
+    )
+    fine.clock = laboratory.clock
+    fine.set_noise(laboratory.noise, laboratory.scatter_rates)
+    if not fit.model.effects:
+        laboratory.adopt(fine)
+        return base_fit(laboratory)
+    fine.refine(fit.model, fit.values)
+    polished = fit_models(fine, [fit.model], [fit.values], origin=fit, race=False)[0]
+    laboratory.adopt(fine)
+    return polished
 
 
 def _fit(laboratory, models, starts, origin, rival: float = np.inf, origins=None) -> list[Fit]:
