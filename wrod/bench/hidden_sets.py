@@ -13,7 +13,7 @@ from wrod.bench.continuous_rod import Experiment, labels, measured
 from wrod.bench.hidden_effects import TRIALS, Hidden
 from wrod.bench.hidden_noise import with_noise
 from wrod.bench.hidden_profiles import PROFILES
-from wrod.bench.hidden_strange import CHANGING, STRANGE
+from wrod.bench.hidden_strange import CHANGING, GIVING, STRANGE
 from wrod.errors import DataError
 from wrod.rods.material import RodMaterial
 
@@ -87,6 +87,7 @@ BUILT: dict[str, Callable] = {
         hidden_in.soft_spot,
         hidden_in.sleeve,
         hidden_in.magnet,
+        *GIVING,
     )
 }
 # A softening by another law than the plug-in's.

@@ -104,13 +104,16 @@ def loose_clamp(rng, rod):
         across = moment * [1.0, 1.0, 0.0]
         return play * across / np.linalg.norm(across)
 
-    return Hidden(Experiment(clamp_give=give), {})
+    return Hidden(Experiment(clamp_give=give), _vector("clamp_play", ("play",), [play]))
 
 
 def soft_grip(rng, rod):
     """The gripper's fingers are rubber: they turn as the rod's moment asks."""
     compliance = _between(rng, 0.012, 0.025) * rod.length / rod.bending_stiffness
-    return Hidden(Experiment(grip_give=lambda moment: compliance * moment * [1.0, 1.0, 0.5]), {})
+    return Hidden(
+        Experiment(grip_give=lambda moment: compliance * moment * [1.0, 1.0, 0.5]),
+        _vector("grip_compliance", ("compliance",), [compliance]),
+    )
 
 
 def sliding_markers(rng, rod):
@@ -170,11 +173,11 @@ def shelf(rng, rod):
 
 # What comes or goes in the order of the trials, by one law or another.
 CHANGING: tuple[Callable, ...] = (warming, drying, unwinding, sinking_camera, creep)
+# Ends that give as the rod pulls at them.
+GIVING: tuple[Callable, ...] = (loose_clamp, soft_grip)
 # For each other kind: names that say what it is as far as they can, prints that are near the truth.
 STRANGE: dict[Callable, tuple[tuple[str, ...], tuple[str, ...]]] = {
     moody: (("stiffness",), ("moment_with_curvature",)),
-    loose_clamp: (("clamp_rotation",), ("clamp_end",)),
-    soft_grip: (("grip_rotation",), ("grip_end",)),
     sliding_markers: (("marker_offset",), ("markers",)),
     lens: (("camera_scale",), ("camera",)),
     rolling_shutter: (("camera_rotation",), ("camera",)),

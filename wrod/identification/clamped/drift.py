@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from wrod.identification.clamped.fit import Fit, fit_models
+from wrod.identification.clamped.giving import settled
 from wrod.identification.clamped.memory import Memory
 from wrod.identification.clamped.steps import best_of_each, extensions
 from wrod.identification.clamped.trace import memory_of
@@ -22,8 +23,6 @@ _MAY = (
     "stiffness", "density", "natural_curvature", "natural_twist", "gravity_tilt", "clamp_offset",
     "clamp_rotation", "grip_offset", "grip_rotation", "camera_offset", "camera_rotation",
 )  # fmt: skip
-# Times that what a rod remembers is taken from its last fit.
-_SETTLES = 3
 # Shares below this are expanded: the quotient of the law has no digits left there.
 _STRAIGHT = 1e-3
 
@@ -126,7 +125,7 @@ def with_drift(laboratory, candidates: Sequence[Effect], beside: Fit) -> list[Fi
         return []
     ways: list[Effect] = [Drift(known[name]) for name in _MAY if name in asked]
     fits = extensions(laboratory, beside, [*ways, memory_of(laboratory, Model(), np.zeros(0))])
-    best = [_settled(laboratory, fit) for fit in fits[:1]]
+    best = [settled(laboratory, fit) for fit in fits[:1]]
     return best_of_each(
         [*best, *(f for fit in best for f in by_another_law(laboratory, fit)), *fits]
     )
@@ -141,13 +140,3 @@ def by_another_law(laboratory, fit: Fit) -> list[Fit]:
         return []
     fits = fit_models(laboratory, [Model(own)], [fit.values], origin=fit, race=False)
     return [f for f in fits if np.isfinite(f.chi_squared)]
-
-
-def _settled(laboratory, fit: Fit) -> Fit:
-    """The fit with what its rod remembers as the rod itself had it: what bent the trials before is
-    at first that of the base model."""
-    for _ in range(_SETTLES if Memory.name in fit.model.names else 0):
-        kept = memory_of(laboratory, fit.model, fit.values)
-        own = tuple(kept if e.name == Memory.name else e for e in fit.model.effects)
-        fit = fit_models(laboratory, [Model(own)], [fit.values], origin=fit, race=False)[0]
-    return fit

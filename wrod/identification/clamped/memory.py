@@ -35,7 +35,13 @@ class Memory(Effect):
 
 
 def bent_before(frames: np.ndarray, tangents: np.ndarray, length: float) -> np.ndarray:
-    """(T, n + 1, 2) curvature along (m1, m2) at the nodes in the trial before each [1/m].
+    """(T, n + 1, 2) `bent` in the trial before each, not at all before the first."""
+    own = bent(frames, tangents, length)
+    return np.concatenate([np.zeros_like(own[:1]), own[:-1]])
+
+
+def bent(frames: np.ndarray, tangents: np.ndarray, length: float) -> np.ndarray:
+    """(T, n + 1, 2) curvature along (m1, m2) at the nodes [1/m].
 
     Args:
         frames: (T, n + 1, 3, 3) material frames at the nodes between the clamps.
@@ -45,5 +51,4 @@ def bent_before(frames: np.ndarray, tangents: np.ndarray, length: float) -> np.n
     cell = np.full(tangents.shape[1] - 1, length / (tangents.shape[1] - 2))
     cell[[0, -1]] *= 0.5  # what is inside a clamp does not bend
     turning = np.diff(tangents, axis=1) / cell[:, None]
-    bent = np.einsum("tni,tnij->tnj", turning, frames[..., :2])
-    return np.concatenate([np.zeros_like(bent[:1]), bent[:-1]])
+    return np.einsum("tni,tnij->tnj", turning, frames[..., :2])

@@ -8,6 +8,7 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit, fit_models
+from wrod.identification.clamped.giving import giving_for, settled
 from wrod.identification.clamped.held_out import held_out_error
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import gain_of_scatter
@@ -215,7 +216,7 @@ def leaner(laboratory, current: Fit, candidates, rounds: list[Round]) -> Fit:
         best = min([current, *fits], key=evident if has_profile(current.model) else lambda f: f.bic)
         if best is current:
             return current
-        current = best
+        current = settled(laboratory, best)
 
 
 def _special_cases(laboratory, current: Fit, candidates) -> list[Fit]:
@@ -227,14 +228,14 @@ def _special_cases(laboratory, current: Fit, candidates) -> list[Fit]:
     for place, (effect, part) in enumerate(zip(own, parts, strict=True)):
         found = dict(zip((p.key for p in effect.parameters), part, strict=True))
         cases = effect.special_cases(part, laboratory.measurements)
+        ways = giving_for(laboratory, current, place)
         for other in candidates:
             keys = [p.key for p in other.parameters]
             if set(keys) < set(found):
-                start = np.array([found[key] for key in keys])
+                ways.append((other, np.array([found[key] for key in keys])))
             elif other.name in cases:
-                start = cases[other.name]
-            else:
-                continue
+                ways.append((other, cases[other.name]))
+        for other, start in ways:
             if other.name not in current.model.names:
                 models.append(Model((*own[:place], other, *own[place + 1 :])))
                 starts.append(np.concatenate([*parts[:place], start, *parts[place + 1 :]]))

@@ -190,7 +190,7 @@ def trace(
         return columns - own @ (own.T @ columns)
 
     prints = []
-    frames, tangents = _frames_of(solver)
+    frames, tangents = frames_of(solver)
     plans = _plans(frames, m.material.weight)
     kept = _memory_of(frames, tangents, laboratory)
     if MEMORY not in beside.names:
@@ -220,10 +220,10 @@ def trace(
 def memory_of(laboratory: Laboratory, model: Model, values: np.ndarray) -> Memory:
     """The effect by which a rod keeps some of its curvature in the trial before, as a model has
     it there."""
-    return _memory_of(*_frames_of(laboratory.solver_at(model, values)[0]), laboratory)
+    return _memory_of(*frames_of(laboratory.solver_at(model, values)[0]), laboratory)
 
 
-def _frames_of(solver) -> tuple[np.ndarray, np.ndarray]:
+def frames_of(solver) -> tuple[np.ndarray, np.ndarray]:
     """((T, node, 3, 3) material frames at the nodes between the clamps, (T, edge, 3) tangents)."""
     directors, tangents = solver.batch.material_directors(), solver.batch.state.tangent.numpy()
     return node_frames(directors[:, :, 0], tangents)[:, 1:-1], tangents
