@@ -73,6 +73,10 @@ def giving_for(laboratory, fit: Fit, place: int) -> list[tuple[Effect, np.ndarra
     return found
 
 
+def gives(model: Model) -> bool:
+    return any(isinstance(e, Giving) for e in model.effects)
+
+
 def settled(laboratory, fit: Fit) -> Fit:
     """The fit with what follows from the rods' shapes, what they remember and how ends give, as its
     own rods have it: it was taken from those of a model before."""
