@@ -132,16 +132,8 @@ class ClampedSolver:
         clamp, grip = end_poses(setups)
         targets = self._prescribed(clamp, grip, setups)
         if not walk:
-            batch, before = (
-                self.batch,
-                RodState.zeros(self.batch.rod_count, self.batch.node_count, self.device),
-            )
-            before.assign(batch.state)
-            dof = batch.state.dof.numpy().copy()
-            held = batch.free.numpy() == 0
-            dof[held] = targets[held]
-            batch.state.dof.assign(dof)
-            batch.transport_frames(before, batch.state, batch.every_rod)
+            held = self.batch.free.numpy() == 0
+            self._move_to(np.where(held, targets, self.batch.state.dof.numpy()))
             targets = None
         reached = self._equilibrium(setups, targets, 1e-9)
         # A rod that gained a turn has jumped to another equilibrium.
@@ -214,26 +206,32 @@ class ClampedSolver:
             batch.set_configuration(nodes, director=ra[:, :, 0])
             dof = self._prescribed(clamp, grip, setups)
             share = np.linspace(0.0, 1.0, dof[:, 3::4].shape[1])
-            twist = (
-                dof[:, -4] - dof[:, 3] + batch.state.reference_twist.numpy()[:, 1:-1].sum(axis=1)
-            )
+            batch.state.dof.assign(dof)
+            twist = self.total_twist()
             least = twist - 2 * np.pi * np.rint(twist / (2 * np.pi))
             more = least - twist + 2 * np.pi * np.sign(least) * turns
             dof[:, 3::4] = dof[:, 3:4] + share * (dof[:, -4] + more - dof[:, 3])[:, None]
             dof[:, 3::4] += roll * np.sin(np.pi * share)
             batch.state.dof.assign(dof)
-            self.principal = np.repeat(
-                np.real([s.principal_angle for s in setups]), self.trial_count
-            )
+            self.principal = self._principal_of(setups)
             return
         self.restore(state)
-        before = RodState.zeros(batch.rod_count, batch.node_count, self.device)
-        before.assign(batch.state)
         dof = batch.state.dof.numpy().copy()
         for axis in range(3):
             dof[:, axis::4] = nodes[:, :, axis]
+        self._move_to(dof)
+
+    def _move_to(self, dof: np.ndarray) -> None:
+        """Put the rods' degrees of freedom elsewhere and carry the frames along."""
+        batch = self.batch
+        before = RodState.zeros(batch.rod_count, batch.node_count, self.device)
+        before.assign(batch.state)
         batch.state.dof.assign(dof)
         batch.transport_frames(before, batch.state, batch.every_rod)
+
+    def _principal_of(self, setups: Sequence[ClampedSetup]) -> np.ndarray:
+        """(candidate x trial,) angle of the principal directions in the models."""
+        return np.repeat(np.real([s.principal_angle for s in setups]), self.trial_count)
 
     def relax(self, setups: Sequence[ClampedSetup]) -> np.ndarray:
         """Equilibrium of every rod from where it is; (rod,) whether it got there."""
@@ -269,7 +267,7 @@ class ClampedSolver:
 
         Were only the clamps' to turn, the rod would be twisted on the way and might stay so.
         """
-        principal = np.repeat(np.real([s.principal_angle for s in setups]), self.trial_count)
+        principal = self._principal_of(setups)
         dof = self.batch.state.dof.numpy().copy()
         dof[:, 3::4] += (principal - self.principal)[:, None]
         self.batch.state.dof.assign(dof)
@@ -287,7 +285,7 @@ class ClampedSolver:
         (a, ra), (b, rb) = clamp, grip
         batch = self.batch
         h = batch.rest_length.numpy()[:, :1]
-        principal = np.repeat(np.real([s.principal_angle for s in setups]), self.trial_count)
+        principal = self._principal_of(setups)
         dof = batch.state.dof.numpy().copy()
         tangent, director = batch.state.tangent.numpy(), batch.state.director.numpy()
         dof[:, 0:3], dof[:, 4:7] = a - h * ra[:, :, 2], a
