@@ -25,13 +25,19 @@ def command(
     rod_name: str = option(None, "--rod", default="green-vps"),
     names: str = option("Patterns.", default="letter-U,letter-A"),
     friction: float = option(None, default=0.3),
+    times: int = option(
+        "Runs of each plan after the first, which finds nothing compiled or cached; the median "
+        "is told.",
+        default=1,
+        type=click.IntRange(1, 100),
+    ),
     together: int = option("Optimise so many plans of random patterns together, too.", default=0),
     device: str = option("cpu, cuda:0 or auto.", default="auto"),
 ) -> None:
     """Optimise plans, and lay rods with and without derivatives by all directions of a plan.
 
-    Each is done once before, so that kernels are there. Derivatives on a GPU are compared with
-    those of a CPU.
+    Each is done once before, which is told of plans. Derivatives on a GPU are compared with those
+    of a CPU.
     """
     from wrod.deployment.effort import corrected
     from wrod.machine import machine_line
@@ -44,19 +50,22 @@ def command(
         name: prepare(read_pattern(name, patterns), material, None) for name in names.split(",")
     }
     each = (corrected(led, material, friction, device=device) for led in courses.values())
-    work = cost.Cost(2.0 * sum(each) + cost.CORRECTED_PLAN * together)
-    what = f"{2 * len(courses) + together} corrected plans"
+    work = cost.Cost((1.0 + times) * sum(each) + cost.CORRECTED_PLAN * together)
+    what = f"{(1 + times) * len(courses) + together} corrected plans"
     cost.settle(work, what, "ask for fewer")
     say = (lambda text: None) if asked("json") else click.echo
     told: dict[str, Any] = {"machine": machine_line(device), "plans": [], "derivatives": []}
     say(told["machine"])
     for name, led in courses.items():
-        _planned(led, material, friction, device)
-        row = {"pattern": name} | _planned(led, material, friction, device)
+        first, *warm = (_planned(led, material, friction, device) for _ in range(1 + times))
+        row = {"pattern": name, **warm[0], "first_seconds": first["seconds"]}
+        for one in ("seconds", "cpu_seconds"):
+            row[one] = float(np.median([run[one] for run in warm]))
         told["plans"].append(row)
         say(
             f"{name} at friction {friction:g}: {row['seconds']:.2f} s ({row['cpu_seconds']:.1f} s "
-            f"of processors), {row['deployments']} times laid; sample from "
+            f"of processors; the first time {row['first_seconds']:.2f} s), {row['deployments']} "
+            f"times laid; sample from "
             f"{100 * row['errors'][0]:.3f} to {100 * min(row['errors']):.3f} cm, expected "
             f"{100 * row['expected']:.3f} cm"
         )
