@@ -185,7 +185,7 @@ class Derivative:
         scene.run(1, 1e-5)
         (group,) = scene.solver._groups
         # How damping turns with the normal is left out of the matrix, of rods and of bodies.
-        group.contact._edges._model.relaxation.zero_()
+        group.contact._edges.model.relaxation.zero_()
         self.group, self.steps, self.bodies = group, group.dynamics, group.bodies
         steps = self.steps
         steps.until.assign(steps.time.numpy() + 1e-3)
@@ -281,7 +281,7 @@ def test_forces_and_moments_are_equal_and_opposite():
     moment = np.cross(nodes, force).sum(axis=0) + (torque[:, None] * tangent).sum(axis=0)
     moment = moment + push[3:6] + np.cross(place, push[:3])
     assert moment == pytest.approx(np.zeros(3), abs=1e-14 * push[6])
-    group.contact._edges._model.rolling.fill_(1.0)
+    group.contact._edges.model.rolling.fill_(1.0)
     with pytest.raises(RodError, match="cannot roll; use rolling=False"):
         group.contact.carry(group.contact._edges.carried, np.zeros((1, 1, 13)))
 

@@ -11,6 +11,7 @@ the matrix is symmetric, at least zero, and the derivative where both agree.
 from typing import Any
 
 import warp as wp
+from wrod.kernels.contact.law import ContactStep
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 
 wp.set_module_options({"enable_backward": False})
@@ -32,40 +33,28 @@ def next_dual(dual: Any, before: Any, now: Any, limit: wp.float64):
 
 @wp.func
 def follow_dual(
-    # In:
-    iteration: int,
-    held: wp.vec3d,
-    now: wp.vec3d,
-    limit: wp.float64,
-    slides: bool,
-    # In and out:
-    stretch: wp.array3d(dtype=wp.vec3d),
-    dual: wp.array3d(dtype=wp.vec3d),
-    # In:
-    r: int,
-    k: int,
-    i: int,
+    step: ContactStep, now: wp.vec3d, limit: wp.float64, slides: bool, r: int, k: int, i: int
 ) -> wp.vec3d:
     """Dual in an iteration of a bristle that is stretched by `now`: it goes on from iteration to
-    iteration (below 0: the step has ended) from what was `held` at the start of the step. What
-    holds has its dual by its stretch alone: of most bristles nothing is written."""
+    iteration from what was held at the start of the step. What holds has its dual by its stretch
+    alone: of most bristles nothing is written."""
     none = wp.vec3d()
-    if iteration < 0:
+    if step.iteration[r] < 0:
         return next_dual(none, none, now, limit)
-    before = stretch[r, k, i]
+    before = step.stretch[r, k, i]
     slid = wp.length_sq(before) > ZERO
     w = wp.vec3d()
-    if iteration == 0:
-        w = next_dual(none, none, held, limit)
+    if step.iteration[r] == 0:
+        w = next_dual(none, none, step.bristle[r, k, i], limit)
     else:
         if slid:
-            w = dual[r, k, i]
+            w = step.dual[r, k, i]
         w = next_dual(w, before, now, limit)
     if slides:
-        dual[r, k, i] = w
-        stretch[r, k, i] = now
+        step.dual[r, k, i] = w
+        step.stretch[r, k, i] = now
     elif slid:
-        stretch[r, k, i] = none
+        step.stretch[r, k, i] = none
     return w
 
 

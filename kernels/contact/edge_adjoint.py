@@ -11,7 +11,13 @@ from wrod.kernels.contact.closest import SMOOTHING, is_fixture
 from wrod.kernels.contact.edge_rolling import edge_rolled, follow_turn
 from wrod.kernels.contact.edges import EdgeTouch, edge_relaxation, edge_touch, is_burdened, is_late
 from wrod.kernels.contact.gap import Gap
-from wrod.kernels.contact.law import Touchable, coefficient, damped_force, return_mapping
+from wrod.kernels.contact.law import (
+    ContactStep,
+    Touchable,
+    coefficient,
+    damped_force,
+    return_mapping,
+)
 from wrod.kernels.contact.rolling import by_logarithms
 from wrod.kernels.contact.shapes import WITH_RODS, Borne, Shape, beside, shape_displacement
 from wrod.kernels.elastic.assembly import add_vector
@@ -19,7 +25,7 @@ from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import EdgeBlock, solved
 from wrod.kernels.stepping.model_adjoint import WantedModel
-from wrod.kernels.stepping.trace import OneStep, Wanted
+from wrod.kernels.stepping.trace import Wanted
 
 # Unrolled loops take a GPU's compiler twice as long.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -123,7 +129,7 @@ def finish_hold(
 
 
 @wp.func
-def hold(m: Touchable, step: OneStep, c: EdgeTouch, r: int, k: int, i: int) -> TouchedEdge:
+def hold(m: Touchable, step: ContactStep, c: EdgeTouch, r: int, k: int, i: int) -> TouchedEdge:
     """All that a touch is made of."""
     out = TouchedEdge()
     out.near = c.near
@@ -136,8 +142,8 @@ def hold(m: Touchable, step: OneStep, c: EdgeTouch, r: int, k: int, i: int) -> T
     out.depth = c.depth
     out.closing = c.closing
     out.stiffness = c.stiffness
-    out.coefficient = coefficient(m, step.edge_sliding[r, k, i], r, k)
-    b = step.edge_bristle[r, k, i]
+    out.coefficient = coefficient(m, step.sliding[r, k, i], r, k)
+    b = step.bristle[r, k, i]
     size = wp.vec2d(m.radius[r, i], m.skin[r, i])
     return finish_hold(out, m.shapes[r, k], head, tail, b, step.span[r], size)
 
@@ -218,9 +224,7 @@ def find_unknown(
     model: Touchable,
     hidden: wp.array2d(dtype=wp.float64),
     # State in:
-    chosen: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
+    step: ContactStep,
     # State out:
     touching_out: wp.array(dtype=wp.int32),
 ):
@@ -228,13 +232,13 @@ def find_unknown(
     turns them, that they come out of, or that moves with rods whose roll it keeps. Launched over
     (rod, edge)."""
     r, i = wp.tid()
-    if chosen[r] == 0 or model.radius[r, i] == ZERO:
+    if step.active[r] == 0 or model.radius[r, i] == ZERO:
         return
     for k in range(model.shapes.shape[1]):
         known = model.shapes[r, k].moves != WITH_RODS or model.roll_friction[r, k] < ZERO
         known = known and hidden[r, i] == ZERO and model.rolling[r] == ZERO
         if is_fixture(model.shapes[r, k]):
-            c = edge_touch(model, dof, dof_before, wp.vec3d(), r, k, i)
+            c = edge_touch(model, step, r, k, i)
             if c.force > ZERO and not known:
                 touching_out[r] = 1
 
@@ -244,7 +248,7 @@ def want_bristles(
     # Model:
     model: Touchable,
     # State in:
-    step: OneStep,
+    step: ContactStep,
     # State in and out:
     now: Wanted,
     gradient: wp.array2d(dtype=wp.float64),
@@ -259,7 +263,7 @@ def want_bristles(
     block = EdgeBlock()
     if model.radius[r, i] != ZERO:
         for k in range(model.shapes.shape[1]):
-            c = edge_touch(model, step.dof, step.dof_before, step.edge_bristle[r, k, i], r, k, i)
+            c = edge_touch(model, step, r, k, i)
             if c.force > ZERO:
                 h = hold(model, step, c, r, k, i)
                 g = c.near
@@ -316,7 +320,7 @@ def want_friction(
     node_mass: wp.array2d(dtype=wp.float64),
     piece: wp.array(dtype=wp.int32),
     # State in:
-    step: OneStep,
+    step: ContactStep,
     now: Wanted,
     x: wp.array3d(dtype=ALONE),
     borne: Borne,
@@ -339,7 +343,7 @@ def want_friction(
     for k in range(model.shapes.shape[1]):
         bristle = wp.vec3d(ZERO, ZERO, ZERO)
         turned = wp.float64(0.0)
-        c = edge_touch(model, step.dof, step.dof_before, step.edge_bristle[r, k, i], r, k, i)
+        c = edge_touch(model, step, r, k, i)
         if c.force > ZERO:
             h = hold(model, step, c, r, k, i)
             w.head = beside(solved(x, r, i), borne, node(step.dof, r, i), r, k)

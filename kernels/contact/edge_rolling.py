@@ -2,20 +2,25 @@
 steps."""
 
 import warp as wp
-from wrod.kernels.contact.law import Touchable
+from wrod.kernels.contact.law import ContactStep, Touchable
 from wrod.kernels.contact.rolling import Rolled, rolled
 from wrod.kernels.contact.shapes import Shape, shape_turn
 from wrod.kernels.elastic.frames import ONE, TWO, edge
-from wrod.kernels.stepping.trace import OneStep
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
 def edge_rolled(
-    m: Touchable, step: OneStep, stiffness: wp.float64, force: wp.float64, r: int, k: int, i: int
+    m: Touchable,
+    step: ContactStep,
+    stiffness: wp.float64,
+    force: wp.float64,
+    r: int,
+    k: int,
+    i: int,
 ) -> Rolled:
-    turn = step.edge_turned[r, k, i] + step.dof[r, 4 * i + 3] - step.dof_before[r, 4 * i + 3]
+    turn = step.turned[r, k, i] + step.dof[r, 4 * i + 3] - step.dof_before[r, 4 * i + 3]
     turn -= shape_turn(m.shapes[r, k], wp.normalize(edge(step.dof, r, i)))
     return rolled(turn, stiffness, wp.abs(m.radius[r, i]), m.roll_friction[r, k], force)
 

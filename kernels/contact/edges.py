@@ -10,6 +10,7 @@ from wrod.kernels.contact.closest import SMOOTHING, within_reach
 from wrod.kernels.contact.duals import bristle_stiffness, follow_dual
 from wrod.kernels.contact.gap import Gap, edge_gap
 from wrod.kernels.contact.law import (
+    ContactStep,
     Touchable,
     coefficient,
     damped_force,
@@ -44,7 +45,8 @@ BEARING = wp.constant(wp.float64(2.5))
 class EdgeTouch:
     """What a fixture does to an edge: the gap, normal force at rest, depth and by how much it
     has grown in this step, stiffness, stretch of the bristle before return mapping, the edge
-    itself, and the direction in which its surface moves when it spins (radius times n x t)."""
+    itself, the direction in which its surface moves when it spins (radius times n x t), and how
+    far it has spun in this step."""
 
     near: Gap
     depth: wp.float64
@@ -54,6 +56,7 @@ class EdgeTouch:
     bristle: wp.vec3d
     edge: wp.vec3d
     spin: wp.vec3d
+    spun: wp.float64
 
 
 @wp.func
@@ -80,21 +83,13 @@ def edge_stiffness(m: Touchable, r: int, k: int, i: int) -> wp.float64:
 
 
 @wp.func
-def edge_touch(
-    m: Touchable,
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    bristle_before: wp.vec3d,
-    r: int,
-    k: int,
-    i: int,
-) -> EdgeTouch:
+def edge_touch(m: Touchable, step: ContactStep, r: int, k: int, i: int) -> EdgeTouch:
     """Edge i and shape k of rod r."""
     out = EdgeTouch()
     shape = m.shapes[r, k]
     radius = m.radius[r, i]
-    q = node(dof, r, i)
-    e = node(dof, r, i + 1) - q
+    q = node(step.dof, r, i)
+    e = node(step.dof, r, i + 1) - q
     out.edge = e
     if not (may_touch(m, r, k, i) and within_reach(shape, q, e, wp.max(radius, ZERO))):
         return out
@@ -106,11 +101,11 @@ def edge_touch(
     if out.force > ZERO:
         n = near.normal
         out.spin = (m.rolling[r] * radius) * wp.cross(n, wp.normalize(e))
-        spun = dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3]
-        head = q - node(dof_before, r, i) - shape_displacement(shape, q)
-        tail = q + e - node(dof_before, r, i + 1) - shape_displacement(shape, q + e)
+        out.spun = step.dof[r, 4 * i + 3] - step.dof_before[r, 4 * i + 3]
+        head = q - node(step.dof_before, r, i) - shape_displacement(shape, q)
+        tail = q + e - node(step.dof_before, r, i + 1) - shape_displacement(shape, q + e)
         moved = (ONE - near.s) * head + near.s * tail
-        b = bristle_before + moved + spun * out.spin
+        b = step.bristle[r, k, i] + moved + out.spun * out.spin
         out.bristle = b - wp.dot(b, n) * n
         out.closing = -wp.dot(head, near.head) - wp.dot(tail, near.tail)
     return out
@@ -156,24 +151,14 @@ class EdgeHold:
 
 
 @wp.func
-def hold_edge(
-    m: Touchable,
-    c: EdgeTouch,
-    sliding: int,
-    turned: wp.float64,
-    spun: wp.float64,
-    dt: wp.float64,
-    r: int,
-    k: int,
-    i: int,
-) -> EdgeHold:
-    """`spun` is by how much the edge has turned in this step, `turned` its bristle before."""
+def hold_edge(m: Touchable, step: ContactStep, c: EdgeTouch, r: int, k: int, i: int) -> EdgeHold:
     out = EdgeHold()
+    dt = step.span[r]
     relaxation = edge_relaxation(m, c, dt, r, k, i)
     law = damped_force(c.depth, c.closing, relaxation, dt, c.stiffness, m.skin[r, i])
     out.force = law[0]
     out.slope = law[1]
-    limit = coefficient(m, sliding, r, k) * law[0]
+    limit = coefficient(m, step.sliding[r, k, i], r, k) * law[0]
     held = return_mapping(c.bristle, c.near.normal, c.stiffness, limit)
     out.limit = limit / c.stiffness
     out.pull = held.pull
@@ -181,7 +166,7 @@ def hold_edge(
     out.slides = held.slides
     if m.roll_friction[r, k] >= ZERO:
         arm = wp.abs(m.radius[r, i])
-        turn = turned + spun - shape_turn(m.shapes[r, k], wp.normalize(c.edge))
+        turn = step.turned[r, k, i] + c.spun - shape_turn(m.shapes[r, k], wp.normalize(c.edge))
         roll = held_turn(turn, c.stiffness * arm * arm, m.roll_friction[r, k] * law[0] * arm)
         out.torque = roll[0]
         out.turning = roll[1]
@@ -221,41 +206,26 @@ def edge_blocks(c: EdgeTouch, held: EdgeHold) -> EdgeBlocks:
 def edge_contact(
     # Model:
     model: Touchable,
-    # State in:
-    step: wp.array(dtype=wp.float64),
-    active: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec3d),
-    sliding: wp.array3d(dtype=wp.int32),
-    turned: wp.array3d(dtype=wp.float64),
-    iteration: wp.array(dtype=wp.int32),
     # State in and out:
-    stretch: wp.array3d(dtype=wp.vec3d),
-    dual: wp.array3d(dtype=wp.vec3d),
+    step: ContactStep,
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
 ):
     """Subtract contact forces from the residual and add their stiffness to the matrix, that of
-    friction by its dual, which goes on from `iteration` to iteration.
+    friction by its dual, which goes on from iteration to iteration.
 
     Left out of the matrix, which would not be symmetric with it: how a sliding edge's friction
     depends on its normal force, and how it moves along the edge with the point of contact.
     """
     r, i = wp.tid()
-    if active[r] == 0 or model.radius[r, i] == ZERO:
+    if step.active[r] == 0 or model.radius[r, i] == ZERO:
         return
     for k in range(model.shapes.shape[1]):
-        c = edge_touch(model, dof, dof_before, bristle[r, k, i], r, k, i)
+        c = edge_touch(model, step, r, k, i)
         if c.force > ZERO:
             a = 4 * i
-            spun = dof[r, a + 3] - dof_before[r, a + 3]
-            was = turned[r, k, i]
-            held = hold_edge(model, c, sliding[r, k, i], was, spun, step[r], r, k, i)
-            w = follow_dual(
-                iteration[r], bristle[r, k, i], c.bristle, held.limit, held.slides > ZERO, stretch,
-                dual, r, k, i,
-            )  # fmt: skip
+            held = hold_edge(model, step, c, r, k, i)
+            w = follow_dual(step, c.bristle, held.limit, held.slides > ZERO, r, k, i)
             held.tangential = bristle_stiffness(
                 c.bristle, w, c.near.normal, c.stiffness, held.limit
             )
@@ -270,8 +240,8 @@ def edge_contact(
             if model.roll_friction[r, k] >= ZERO:
                 add_component(gradient, r, a + 3, held.torque)
                 add_entry(hessian, r, a + 3, 0, held.turning)
-        elif iteration[r] == 0:
-            stretch[r, k, i] = wp.vec3d()
+        elif step.iteration[r] == 0:
+            step.stretch[r, k, i] = wp.vec3d()
 
 
 @wp.func
@@ -298,18 +268,16 @@ def find_touching(
     # Model:
     model: Touchable,
     # State in:
-    chosen: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
+    step: ContactStep,
     # State out:
     touching_out: wp.array(dtype=wp.int32),
 ):
     """Say of the chosen rods whether their edges touch a fixture (1), and in an impact (2)."""
     r, i = wp.tid()
-    if chosen[r] == 0 or model.radius[r, i] == ZERO:
+    if step.active[r] == 0 or model.radius[r, i] == ZERO:
         return
     for k in range(model.shapes.shape[1]):
-        c = edge_touch(model, dof, dof_before, wp.vec3d(), r, k, i)
+        c = edge_touch(model, step, r, k, i)
         if c.force > ZERO:
             note_touch(touching_out, r, c.depth, c.closing, model.radius[r, i])
 
@@ -330,15 +298,8 @@ def clear_pushes(
 def settle_edges(
     # Model:
     model: Touchable,
-    # State in:
-    step: wp.array(dtype=wp.float64),
-    accepted: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
     # State in and out:
-    bristle: wp.array3d(dtype=wp.vec3d),
-    sliding: wp.array3d(dtype=wp.int32),
-    turned: wp.array3d(dtype=wp.float64),
+    step: ContactStep,
     slip: wp.array2d(dtype=wp.float64),
     force: wp.array2d(dtype=wp.vec3d),
     push: wp.array2d(dtype=wp.vec3d),
@@ -347,19 +308,17 @@ def settle_edges(
     """After an accepted step: let overloaded bristles slide, and add forces and slip to those of
     the nodes, and forces, and their moments about the origin, to those of the shapes."""
     r, i = wp.tid()
-    if accepted[r] == 0 or model.radius[r, i] == ZERO:
+    if step.active[r] == 0 or model.radius[r, i] == ZERO:
         return
     for k in range(model.shapes.shape[1]):
-        c = edge_touch(model, dof, dof_before, bristle[r, k, i], r, k, i)
-        slid = sliding[r, k, i]
-        sliding[r, k, i] = 0
+        c = edge_touch(model, step, r, k, i)
+        slides = int(0)
         b = wp.vec3d(ZERO, ZERO, ZERO)
         turn = wp.float64(0.0)
         if c.force > ZERO:
-            spun = dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3]
-            held = hold_edge(model, c, slid, turned[r, k, i], spun, step[r], r, k, i)
+            held = hold_edge(model, step, c, r, k, i)
             if held.slides > ZERO:
-                sliding[r, k, i] = 1
+                slides = 1
                 wp.atomic_add(slip, r, i, (ONE - c.near.s) * held.slides)
                 wp.atomic_add(slip, r, i + 1, c.near.s * held.slides)
             b = held.pull / c.stiffness
@@ -372,7 +331,8 @@ def settle_edges(
             wp.atomic_add(force, r, i + 1, tail)
             wp.atomic_add(push, r, k, -head - tail)
             turning = held.torque * wp.normalize(c.edge)
-            turning = turning - wp.cross(node(dof, r, i), head)
-            wp.atomic_add(moment, r, k, turning - wp.cross(node(dof, r, i + 1), tail))
-        bristle[r, k, i] = b
-        turned[r, k, i] = turn
+            turning = turning - wp.cross(node(step.dof, r, i), head)
+            wp.atomic_add(moment, r, k, turning - wp.cross(node(step.dof, r, i + 1), tail))
+        step.bristle[r, k, i] = b
+        step.sliding[r, k, i] = slides
+        step.turned[r, k, i] = turn

@@ -2,7 +2,7 @@
 
 import warp as wp
 from wrod.kernels.contact.edges import edge_touch
-from wrod.kernels.contact.law import Touchable
+from wrod.kernels.contact.law import ContactStep, Touchable
 from wrod.kernels.contact.pair_contact import Pieces, Rubbing, nearest_of_edges
 from wrod.kernels.contact.planes import touch
 from wrod.kernels.elastic.frames import HALF, ZERO
@@ -22,27 +22,38 @@ def normal_energy(p: wp.float64, stiffness: wp.float64, skin: wp.float64) -> wp.
     return HALF * stiffness * (p * (p - skin) + THIRD * skin * skin)
 
 
+@wp.func
+def touch_energy(
+    m: Touchable,
+    step: ContactStep,
+    depth: wp.float64,
+    stiffness: wp.float64,
+    r: int,
+    k: int,
+    i: int,
+) -> wp.float64:
+    """Of a piece that touches."""
+    arm = m.radius[r, i] * step.turned[r, k, i]
+    held = wp.length_sq(step.bristle[r, k, i]) + arm * arm
+    return normal_energy(depth, stiffness, m.skin[r, i]) + HALF * stiffness * held
+
+
 @wp.kernel
 def add_node_energy(
     # Model:
     model: Touchable,
     # State in:
-    dof: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec3d),
-    turned: wp.array3d(dtype=wp.float64),
+    step: ContactStep,
     # State out:
     energy: wp.array(dtype=wp.float64),
 ):
     """Of nodes that touch planes."""
     r, i = wp.tid()
     for k in range(model.shapes.shape[1]):
-        c = touch(model, dof, dof, bristle[r, k, i], r, k, i)
+        c = touch(model, step, r, k, i)
         if c.force > ZERO:
-            stiffness = model.stiffness[r, i]
-            arm = model.radius[r, i] * turned[r, k, i]
-            held = wp.length_sq(bristle[r, k, i]) + arm * arm
-            normal = normal_energy(c.depth, stiffness, model.skin[r, i])
-            wp.atomic_add(energy, r, normal + HALF * stiffness * held)
+            stored = touch_energy(model, step, c.depth, model.stiffness[r, i], r, k, i)
+            wp.atomic_add(energy, r, stored)
 
 
 @wp.kernel
@@ -50,9 +61,7 @@ def add_edge_energy(
     # Model:
     model: Touchable,
     # State in:
-    dof: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec3d),
-    turned: wp.array3d(dtype=wp.float64),
+    step: ContactStep,
     # State out:
     energy: wp.array(dtype=wp.float64),
 ):
@@ -61,12 +70,10 @@ def add_edge_energy(
     if model.radius[r, i] == ZERO:
         return
     for k in range(model.shapes.shape[1]):
-        c = edge_touch(model, dof, dof, bristle[r, k, i], r, k, i)
+        c = edge_touch(model, step, r, k, i)
         if c.force > ZERO:
-            arm = model.radius[r, i] * turned[r, k, i]
-            held = wp.length_sq(bristle[r, k, i]) + arm * arm
-            normal = normal_energy(c.depth, c.stiffness, model.skin[r, i])
-            wp.atomic_add(energy, r, normal + HALF * c.stiffness * held)
+            stored = touch_energy(model, step, c.depth, c.stiffness, r, k, i)
+            wp.atomic_add(energy, r, stored)
 
 
 @wp.kernel

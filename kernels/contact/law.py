@@ -56,6 +56,26 @@ class Touchable:
     apart: wp.array3d(dtype=wp.int8)
 
 
+@wp.struct
+class ContactStep:
+    """A step of rods that touch shapes: (rod,) 1 in `active` of those that are looked at; time to
+    where forces are, and configurations (rod, dof) there and at the start; what friction remembers
+    from there, (rod, shape, piece): bristles, 1 where they slid in the last step, and how far those
+    are turned that keep the roll. (rod,) `iteration` is its number, below 0 where the step has
+    ended; `stretch` and `dual` go on from iteration to iteration (`duals`)."""
+
+    active: wp.array(dtype=wp.int32)
+    span: wp.array(dtype=wp.float64)
+    dof: wp.array2d(dtype=wp.float64)
+    dof_before: wp.array2d(dtype=wp.float64)
+    bristle: wp.array3d(dtype=wp.vec3d)
+    sliding: wp.array3d(dtype=wp.int32)
+    turned: wp.array3d(dtype=wp.float64)
+    iteration: wp.array(dtype=wp.int32)
+    stretch: wp.array3d(dtype=wp.vec3d)
+    dual: wp.array3d(dtype=wp.vec3d)
+
+
 @wp.func
 def normal_force(p: wp.float64, stiffness: wp.float64, skin: wp.float64) -> wp.vec2d:
     """Force at the penetration p and its slope."""

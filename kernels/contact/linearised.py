@@ -2,6 +2,7 @@
 
 import warp as wp
 from wrod.kernels.contact.law import (
+    ContactStep,
     Touchable,
     coefficient,
     friction_factor,
@@ -41,13 +42,7 @@ def linearise_contact(
     # Model:
     model: Touchable,
     # State in:
-    step: wp.array(dtype=wp.float64),
-    accepted: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec3d),
-    sliding: wp.array3d(dtype=wp.int32),
-    turned: wp.array3d(dtype=wp.float64),
+    step: ContactStep,
     # Out:
     contact_out: wp.array2d(dtype=LinearContact),
     coupling_out: wp.array2d(dtype=wp.mat33d),
@@ -55,18 +50,18 @@ def linearise_contact(
     """Of each node, and friction's derivative by the normal displacement. The bound of a roll that
     slides is taken as constant."""
     r, i = wp.tid()
-    if accepted[r] == 0:
+    if step.active[r] == 0:
         return
     out = LinearContact()
     coupling = wp.mat33d()
-    c = touch(model, dof, dof_before, bristle[r, 0, i], r, 0, i)
+    c = touch(model, step, r, 0, i)
     if c.force > ZERO:
-        law = present_force(model, c.depth, c.closing, step[r], r, i)
-        mu = coefficient(model, sliding[r, 0, i], r, 0)
-        factor = friction_factor(model.field, model.place, node(dof, r, i))
+        law = present_force(model, c.depth, c.closing, step.span[r], r, i)
+        mu = coefficient(model, step.sliding[r, 0, i], r, 0)
+        factor = friction_factor(model.field, model.place, node(step.dof, r, i))
         slope = (mu * law[0]) * wp.vec3d(factor[1], factor[2], ZERO)
         mu = mu * factor[0]
-        lag = model.relaxation[r, i] / step[r]
+        lag = model.relaxation[r, i] / step.span[r]
         remembered = ZERO
         if c.closing < c.depth:
             remembered = law[1] * lag / (ONE + lag)
@@ -83,7 +78,7 @@ def linearise_contact(
         out.push = held.pull - law[0] * n
         if model.roll_friction[r, 0] >= ZERO:
             arm = model.radius[r, i]
-            turn = node_turn(dof, dof_before, turned[r, 0, i], r, i)
+            turn = node_turn(step, r, 0, i)
             limit = model.roll_friction[r, 0] * law[0] * arm
             roll = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)
             out.torque = roll[0]

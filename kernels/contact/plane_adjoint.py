@@ -20,7 +20,7 @@ from wrod.kernels.contact.edge_adjoint import (
     wanted_of,
     wanted_of_three,
 )
-from wrod.kernels.contact.law import Touchable, coefficient, return_mapping
+from wrod.kernels.contact.law import ContactStep, Touchable, coefficient, return_mapping
 from wrod.kernels.contact.planes import PLANE, Touch, touch
 from wrod.kernels.contact.rolling import by_logarithms
 from wrod.kernels.contact.rolling_adjoint import node_angle, node_rolled
@@ -29,14 +29,14 @@ from wrod.kernels.elastic.frames import HALF, ZERO, node
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import solved
 from wrod.kernels.stepping.model_adjoint import WantedModel
-from wrod.kernels.stepping.trace import OneStep, Wanted
+from wrod.kernels.stepping.trace import Wanted
 
 # Unrolled loops take a GPU's compiler twice as long.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.func
-def hold_node(m: Touchable, step: OneStep, c: Touch, r: int, k: int, i: int) -> TouchedEdge:
+def hold_node(m: Touchable, step: ContactStep, c: Touch, r: int, k: int, i: int) -> TouchedEdge:
     """All that a node's touch is made of."""
     out = TouchedEdge()
     out.near.normal = c.normal
@@ -58,23 +58,21 @@ def find_unknown(
     # Model:
     model: Touchable,
     # State in:
-    chosen: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
+    step: ContactStep,
     # State out:
     touching_out: wp.array(dtype=wp.int32),
 ):
     """Say of the chosen rods whether they touch a plane in a way that has no adjoint: one that
     turns them, or that moves and keeps their roll. Launched over (rod, node)."""
     r, i = wp.tid()
-    if chosen[r] == 0:
+    if step.active[r] == 0:
         return
     for k in range(model.shapes.shape[1]):
         moves = model.shapes[r, k].moves
         known = moves == 0 or (moves == BY_OTHERS and model.roll_friction[r, k] < ZERO)
         known = known and model.rolling[r] == ZERO
         if model.shapes[r, k].kind == PLANE and not known:
-            c = touch(model, dof, dof_before, wp.vec3d(), r, k, i)
+            c = touch(model, step, r, k, i)
             if c.force > ZERO:
                 touching_out[r] = 1
 
@@ -84,7 +82,7 @@ def want_bristles(
     # Model:
     model: Touchable,
     # State in:
-    step: OneStep,
+    step: ContactStep,
     # State in and out:
     now: Wanted,
     # Out:
@@ -97,7 +95,7 @@ def want_bristles(
         return
     coupling = wp.mat33d()
     for k in range(model.shapes.shape[1]):
-        c = touch(model, step.dof, step.dof_before, step.bristle[r, k, i], r, k, i)
+        c = touch(model, step, r, k, i)
         if c.force > ZERO:
             h = hold_node(model, step, c, r, k, i)
             held = return_mapping(c.bristle, c.normal, h.stiffness, h.coefficient * h.force)
@@ -120,7 +118,7 @@ def want_friction(
     node_mass: wp.array2d(dtype=wp.float64),
     piece: wp.array(dtype=wp.int32),
     # State in:
-    step: OneStep,
+    step: ContactStep,
     now: Wanted,
     x: wp.array3d(dtype=ALONE),
     # State in and out:
@@ -145,7 +143,7 @@ def want_friction(
     damped = wp.float64(0.0)
     by_radius = wp.float64(0.0)
     for k in range(model.shapes.shape[1]):
-        c = touch(model, step.dof, step.dof_before, step.bristle[r, k, i], r, k, i)
+        c = touch(model, step, r, k, i)
         bristle = wp.vec3d(ZERO, ZERO, ZERO)
         if c.force > ZERO:
             h = hold_node(model, step, c, r, k, i)

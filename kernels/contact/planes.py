@@ -3,6 +3,7 @@
 import warp as wp
 from wrod.kernels.contact.duals import bristle_stiffness, follow_dual
 from wrod.kernels.contact.law import (
+    ContactStep,
     Touchable,
     coefficient,
     friction_factor,
@@ -56,22 +57,14 @@ def mean_angle(dof: wp.array2d(dtype=wp.float64), r: int, i: int) -> wp.float64:
 
 
 @wp.func
-def touch(
-    m: Touchable,
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    bristle_before: wp.vec3d,
-    r: int,
-    k: int,
-    i: int,
-) -> Touch:
+def touch(m: Touchable, step: ContactStep, r: int, k: int, i: int) -> Touch:
     """Node i and shape k of rod r."""
     out = Touch()
     shape = m.shapes[r, k]
     if shape.kind != PLANE:
         # Edges touch all else: `wrod.kernels.contact.edges`.
         return out
-    q = node(dof, r, i)
+    q = node(step.dof, r, i)
     distance = plane_distance(shape, q)
     out.depth = m.radius[r, i] - distance[0]
     law = normal_force(out.depth, m.stiffness[r, i], m.skin[r, i])
@@ -80,12 +73,12 @@ def touch(
     n = wp.vec3d(distance[1], distance[2], distance[3])
     out.normal = n
     if out.force > ZERO:
-        last = (dof.shape[1] + 1) // 4 - 1
-        along = node(dof, r, wp.min(i + 1, last)) - node(dof, r, wp.max(i - 1, 0))
+        last = (step.dof.shape[1] + 1) // 4 - 1
+        along = node(step.dof, r, wp.min(i + 1, last)) - node(step.dof, r, wp.max(i - 1, 0))
         out.spin = (m.rolling[r] * m.radius[r, i]) * wp.cross(n, wp.normalize(along))
-        spun = mean_angle(dof, r, i) - mean_angle(dof_before, r, i)
-        moved = q - node(dof_before, r, i) - shape_displacement(shape, q)
-        b = bristle_before + moved + spun * out.spin
+        spun = mean_angle(step.dof, r, i) - mean_angle(step.dof_before, r, i)
+        moved = q - node(step.dof_before, r, i) - shape_displacement(shape, q)
+        b = step.bristle[r, k, i] + moved + spun * out.spin
         out.bristle = b - wp.dot(b, n) * n
         out.closing = -wp.dot(moved, n)
     return out
@@ -95,40 +88,27 @@ def touch(
 def contact(
     # Model:
     model: Touchable,
-    # State in:
-    step: wp.array(dtype=wp.float64),
-    active: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec3d),
-    sliding: wp.array3d(dtype=wp.int32),
-    iteration: wp.array(dtype=wp.int32),
     # State in and out:
-    stretch: wp.array3d(dtype=wp.vec3d),
-    dual: wp.array3d(dtype=wp.vec3d),
+    step: ContactStep,
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
 ):
     """Subtract contact forces from the residual and add their stiffness to the matrix, but for how
-    a sliding node's friction depends on its normal force, which is not symmetric. Its dual goes on
-    from `iteration` to iteration from what the bristle held; below 0 the step has ended."""
+    a sliding node's friction depends on its normal force, which is not symmetric."""
     r, i = wp.tid()
-    if active[r] == 0:
+    if step.active[r] == 0:
         return
     for k in range(model.shapes.shape[1]):
-        c = touch(model, dof, dof_before, bristle[r, k, i], r, k, i)
+        c = touch(model, step, r, k, i)
         if c.force > ZERO:
-            mu = coefficient(model, sliding[r, k, i], r, k)
-            mu = mu * friction_factor(model.field, model.place, node(dof, r, i))[0]
-            law = present_force(model, c.depth, c.closing, step[r], r, i)
+            mu = coefficient(model, step.sliding[r, k, i], r, k)
+            mu = mu * friction_factor(model.field, model.place, node(step.dof, r, i))[0]
+            law = present_force(model, c.depth, c.closing, step.span[r], r, i)
             n = c.normal
             stiffness = model.stiffness[r, i]
             held = return_mapping(c.bristle, n, stiffness, mu * law[0])
             limit = mu * law[0] / stiffness
-            w = follow_dual(
-                iteration[r], bristle[r, k, i], c.bristle, limit, held.slides > ZERO, stretch,
-                dual, r, k, i,
-            )  # fmt: skip
+            w = follow_dual(step, c.bristle, limit, held.slides > ZERO, r, k, i)
             tangential = bristle_stiffness(c.bristle, w, n, stiffness, limit)
             add_vector(gradient, r, 4 * i, held.pull - law[0] * n)
             add_diagonal_block(hessian, r, 4 * i, tangential + law[1] * wp.outer(n, n))
@@ -169,38 +149,32 @@ def add_spin(
 def settle_friction(
     # Model:
     model: Touchable,
-    # State in:
-    step: wp.array(dtype=wp.float64),
-    accepted: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
     # State in and out:
-    bristle: wp.array3d(dtype=wp.vec3d),
-    sliding: wp.array3d(dtype=wp.int32),
+    step: ContactStep,
     slip: wp.array2d(dtype=wp.float64),
     # State out:
     force_out: wp.array2d(dtype=wp.vec3d),
 ):
     """After an accepted step: let overloaded bristles slide, and note forces and slip."""
     r, i = wp.tid()
-    if accepted[r] == 0:
+    if step.active[r] == 0:
         return
     total = wp.vec3d(ZERO, ZERO, ZERO)
     for k in range(model.shapes.shape[1]):
-        c = touch(model, dof, dof_before, bristle[r, k, i], r, k, i)
-        mu = coefficient(model, sliding[r, k, i], r, k)
-        mu = mu * friction_factor(model.field, model.place, node(dof, r, i))[0]
-        sliding[r, k, i] = 0
+        c = touch(model, step, r, k, i)
+        mu = coefficient(model, step.sliding[r, k, i], r, k)
+        mu = mu * friction_factor(model.field, model.place, node(step.dof, r, i))[0]
+        step.sliding[r, k, i] = 0
         b = wp.vec3d(ZERO, ZERO, ZERO)
         if c.force > ZERO:
-            law = present_force(model, c.depth, c.closing, step[r], r, i)
+            law = present_force(model, c.depth, c.closing, step.span[r], r, i)
             held = return_mapping(c.bristle, c.normal, model.stiffness[r, i], mu * law[0])
             if held.slides > ZERO:
-                sliding[r, k, i] = 1
+                step.sliding[r, k, i] = 1
                 slip[r, i] = slip[r, i] + held.slides
             b = held.pull / model.stiffness[r, i]
             total = total + law[0] * c.normal - held.pull
-        bristle[r, k, i] = b
+        step.bristle[r, k, i] = b
     force_out[r, i] = total
 
 
@@ -209,32 +183,30 @@ def find_touching(
     # Model:
     model: Touchable,
     # State in:
-    chosen: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
+    step: ContactStep,
     # State out:
     touching_out: wp.array(dtype=wp.int32),
 ):
     """Say of the chosen rods whether nodes touch a plane (1), and whether in an impact (2)."""
     r, i = wp.tid()
-    if chosen[r] == 0:
+    if step.active[r] == 0:
         return
     for k in range(model.shapes.shape[1]):
-        c = touch(model, dof, dof_before, wp.vec3d(), r, k, i)
+        c = touch(model, step, r, k, i)
         if c.force > ZERO:
             note_touch(touching_out, r, c.depth, c.closing, model.radius[r, i])
 
 
 @wp.kernel
 def forget_friction(
-    # In:
+    # State in:
     chosen: wp.array(dtype=wp.int32),
     # State out:
-    bristle_out: wp.array3d(dtype=wp.vec3d),
-    sliding_out: wp.array3d(dtype=wp.int32),
+    step: ContactStep,
 ):
     """Unload the bristles of the chosen rods."""
     r, k, i = wp.tid()
     if chosen[r] != 0:
-        bristle_out[r, k, i] = wp.vec3d(ZERO, ZERO, ZERO)
-        sliding_out[r, k, i] = 0
+        step.bristle[r, k, i] = wp.vec3d(ZERO, ZERO, ZERO)
+        step.sliding[r, k, i] = 0
+        step.turned[r, k, i] = ZERO

@@ -9,7 +9,7 @@ along a shape, is held by the friction of its nodes.
 """
 
 import warp as wp
-from wrod.kernels.contact.law import Touchable, present_force
+from wrod.kernels.contact.law import ContactStep, Touchable, present_force
 from wrod.kernels.contact.planes import mean_angle, touch
 from wrod.kernels.elastic.assembly import add_component, add_entry
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
@@ -63,14 +63,9 @@ def by_logarithms(h: Rolled, by_step: wp.float64, by_end: wp.float64) -> wp.vec2
 
 
 @wp.func
-def node_turn(
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.float64,
-    r: int,
-    i: int,
-) -> wp.float64:
-    return bristle + mean_angle(dof, r, i) - mean_angle(dof_before, r, i)
+def node_turn(step: ContactStep, r: int, k: int, i: int) -> wp.float64:
+    turned = step.turned[r, k, i] + mean_angle(step.dof, r, i)
+    return turned - mean_angle(step.dof_before, r, i)
 
 
 @wp.kernel
@@ -78,11 +73,7 @@ def hold_roll(
     # Model:
     model: Touchable,
     # State in:
-    step: wp.array(dtype=wp.float64),
-    active: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    turned: wp.array3d(dtype=wp.float64),
+    step: ContactStep,
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
@@ -92,17 +83,17 @@ def hold_roll(
     A coefficient below 0 is that of a rod which rolls freely.
     """
     r, i = wp.tid()
-    if active[r] == 0:
+    if step.active[r] == 0:
         return
     last = gradient.shape[1] // 4
     for k in range(model.shapes.shape[1]):
         if model.roll_friction[r, k] < ZERO:
             continue
-        c = touch(model, dof, dof_before, wp.vec3d(ZERO, ZERO, ZERO), r, k, i)
+        c = touch(model, step, r, k, i)
         if c.force > ZERO:
-            law = present_force(model, c.depth, c.closing, step[r], r, i)
+            law = present_force(model, c.depth, c.closing, step.span[r], r, i)
             arm = model.radius[r, i]
-            turn = node_turn(dof, dof_before, turned[r, k, i], r, i)
+            turn = node_turn(step, r, k, i)
             limit = model.roll_friction[r, k] * law[0] * arm
             held = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)
             inner = i > 0 and i < last
@@ -120,40 +111,22 @@ def hold_roll(
 def settle_roll(
     # Model:
     model: Touchable,
-    # State in:
-    step: wp.array(dtype=wp.float64),
-    accepted: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
     # State in and out:
-    turned: wp.array3d(dtype=wp.float64),
+    step: ContactStep,
 ):
     """After an accepted step: let overloaded bristles slide."""
     r, i = wp.tid()
-    if accepted[r] == 0:
+    if step.active[r] == 0:
         return
     for k in range(model.shapes.shape[1]):
         if model.roll_friction[r, k] < ZERO or model.shapes[r, k].kind != 0:
             continue
-        c = touch(model, dof, dof_before, wp.vec3d(ZERO, ZERO, ZERO), r, k, i)
+        c = touch(model, step, r, k, i)
         turn = wp.float64(0.0)
         if c.force > ZERO:
-            law = present_force(model, c.depth, c.closing, step[r], r, i)
+            law = present_force(model, c.depth, c.closing, step.span[r], r, i)
             arm = model.radius[r, i]
             k_r = model.stiffness[r, i] * arm * arm
-            turn = node_turn(dof, dof_before, turned[r, k, i], r, i)
+            turn = node_turn(step, r, k, i)
             turn = held_turn(turn, k_r, model.roll_friction[r, k] * law[0] * arm)[0] / k_r
-        turned[r, k, i] = turn
-
-
-@wp.kernel
-def forget_roll(
-    # In:
-    chosen: wp.array(dtype=wp.int32),
-    # State out:
-    turned_out: wp.array3d(dtype=wp.float64),
-):
-    """Unload the bristles of the chosen rods."""
-    r, k, i = wp.tid()
-    if chosen[r] != 0:
-        turned_out[r, k, i] = ZERO
+        step.turned[r, k, i] = turn

@@ -10,7 +10,7 @@ import warp as wp
 from wrod.kernels.contact.edge_adjoint import follow, hold
 from wrod.kernels.contact.edge_rolling import edge_rolled, follow_turn
 from wrod.kernels.contact.edges import edge_touch
-from wrod.kernels.contact.law import Touchable, present_force
+from wrod.kernels.contact.law import ContactStep, Touchable, present_force
 from wrod.kernels.contact.planes import PLANE, touch
 from wrod.kernels.contact.rolling import Rolled, node_turn, rolled
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
@@ -23,7 +23,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def turn_edge(
-    step: OneStep,
+    at: OneStep,
     h: Rolled,
     share: wp.float64,
     wanted: wp.float64,
@@ -38,15 +38,15 @@ def turn_edge(
     wp.atomic_add(now.dof, r, 4 * e + 3, stiff * wanted)
     wp.atomic_add(now.turn, r, e, -stiff * wanted)
     wp.atomic_add(m.roll, r, e, share * stiff)
-    moment = share * h.torque / (TWO * wp.length_sq(edge(step.dof, r, e)))
-    wp.atomic_add(m.moment, r, e, moment * step.tangent[r, e])
+    moment = share * h.torque / (TWO * wp.length_sq(edge(at.dof, r, e)))
+    wp.atomic_add(m.moment, r, e, moment * at.tangent[r, e])
 
 
 @wp.func
 def node_rolled(
-    model: Touchable, step: OneStep, force: wp.float64, r: int, k: int, i: int
+    model: Touchable, step: ContactStep, force: wp.float64, r: int, k: int, i: int
 ) -> Rolled:
-    turn = node_turn(step.dof, step.dof_before, step.turned[r, k, i], r, i)
+    turn = node_turn(step, r, k, i)
     mu = model.roll_friction[r, k]
     return rolled(turn, model.stiffness[r, i], model.radius[r, i], mu, force)
 
@@ -56,7 +56,8 @@ def want_node_rolls(
     # Model:
     model: Touchable,
     # State in:
-    step: OneStep,
+    step: ContactStep,
+    at: OneStep,
     # State in and out:
     now: Wanted,
     m: StepMatrix,
@@ -73,7 +74,7 @@ def want_node_rolls(
     pushed = wp.vec3d(ZERO, ZERO, ZERO)
     for k in range(model.shapes.shape[1]):
         if model.roll_friction[r, k] >= ZERO and model.shapes[r, k].kind == PLANE:
-            c = touch(model, step.dof, step.dof_before, wp.vec3d(), r, k, i)
+            c = touch(model, step, r, k, i)
             if c.force > ZERO:
                 law = present_force(model, c.depth, c.closing, step.span[r], r, i)
                 h = node_rolled(model, step, law[0], r, k, i)
@@ -81,7 +82,7 @@ def want_node_rolls(
                 for side in range(2):
                     e = i - 1 + side
                     if e >= 0 and e < last:
-                        turn_edge(step, h, share, wanted, r, e, now, m)
+                        turn_edge(at, h, share, wanted, r, e, now, m)
                 if inner:
                     wp.atomic_add(m.roll_with_next, r, i - 1, share * share * h.stiffness)
                 by_place = (-h.per_force * law[1]) * c.normal
@@ -96,7 +97,8 @@ def want_edge_rolls(
     # Model:
     model: Touchable,
     # State in:
-    step: OneStep,
+    step: ContactStep,
+    at: OneStep,
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     now: Wanted,
@@ -111,13 +113,12 @@ def want_edge_rolls(
         for k in range(model.shapes.shape[1]):
             if model.roll_friction[r, k] < ZERO:
                 continue
-            bristle = step.edge_bristle[r, k, i]
-            c = edge_touch(model, step.dof, step.dof_before, bristle, r, k, i)
+            c = edge_touch(model, step, r, k, i)
             if c.force > ZERO:
                 touched = hold(model, step, c, r, k, i)
                 h = edge_rolled(model, step, touched.stiffness, touched.force, r, k, i)
                 wanted = now.edge_turned[r, k, i] / h.whole
-                turn_edge(step, h, ONE, wanted, r, i, now, m)
+                turn_edge(at, h, ONE, wanted, r, i, now, m)
                 wp.atomic_add(gradient, r, 4 * i + 3, h.torque)
                 wp.atomic_add(m.hessian, r, 4 * i + 3, 0, h.stiffness)
                 way = wp.vec3d(ZERO, ZERO, ZERO)
@@ -136,7 +137,7 @@ def want_turned_nodes(
     # Model:
     model: Touchable,
     # State in:
-    step: OneStep,
+    step: ContactStep,
     x: wp.array3d(dtype=ALONE),
     # State in and out:
     now: Wanted,
@@ -151,7 +152,7 @@ def want_turned_nodes(
     for k in range(model.shapes.shape[1]):
         turned = wp.float64(0.0)
         if model.roll_friction[r, k] >= ZERO and model.shapes[r, k].kind == PLANE:
-            c = touch(model, step.dof, step.dof_before, wp.vec3d(), r, k, i)
+            c = touch(model, step, r, k, i)
             if c.force > ZERO:
                 law = present_force(model, c.depth, c.closing, step.span[r], r, i)
                 h = node_rolled(model, step, law[0], r, k, i)

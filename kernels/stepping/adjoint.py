@@ -19,10 +19,10 @@ along both at once, where inertia leaves a moment about the edge.
 
 import warp as wp
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
-from wrod.kernels.elastic.frames import ONE, TWO, ZERO, edge, node
+from wrod.kernels.elastic.frames import ONE, TWO, ZERO, edge
 from wrod.kernels.linear.banded_lu import ALONE, make_assembly, substitute_lanes
 from wrod.kernels.linear.skyline_lu import make_filling
-from wrod.kernels.stepping.dynamics import difference, drag_matrix, rate
+from wrod.kernels.stepping.dynamics import difference, drag_matrix, velocity_of
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
 wp.set_module_options({"enable_backward": False})
@@ -315,8 +315,7 @@ def want_before(
             less += (edge_mass[r, i] / SIX) * (w - solved(x, r, i + 1))
     dragged = wp.vec3d(ZERO, ZERO, ZERO)
     if drag.shape[1] > 0:
-        v = rate(c, dt, node(step.dof, r, i), node(step.dof_before, r, i),
-                 node(step.dof_older, r, i))  # fmt: skip
+        v = velocity_of(step, r, i)
         dragged = drag_matrix(v, drag[r, i][0], drag[r, i][1]) * w
     from_turns = turned(by_start, now.turn, r, i)
     for k in range(4):

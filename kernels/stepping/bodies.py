@@ -12,6 +12,7 @@ so that what nothing turns keeps its angular momentum exactly.
 
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, angle_towards, node
+from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})
 
@@ -106,8 +107,7 @@ def predict_bodies(
     # Model:
     body: wp.array2d(dtype=Body),
     # State in:
-    chosen: wp.array(dtype=wp.int32),
-    span: wp.array(dtype=wp.float64),
+    pace: Pace,
     before: BodyMotion,
     # State out:
     now: BodyMotion,
@@ -115,12 +115,12 @@ def predict_bodies(
     """Newton starts where bodies are that move on as they do."""
     r, s = wp.tid()
     b = body[r, s]
-    if chosen[r] == 0 or b.mass == ZERO:
+    if pace.starting[r] == 0 or b.mass == ZERO:
         return
     q = before.turn[r, s]
     spin = spin_of(b, q, before.momentum[r, s])
-    now.place[r, s] = before.place[r, s] + span[r] * before.velocity[r, s]
-    now.turn[r, s] = turned_by(span[r] * spin, q)
+    now.place[r, s] = before.place[r, s] + pace.span[r] * before.velocity[r, s]
+    now.turn[r, s] = turned_by(pace.span[r] * spin, q)
 
 
 @wp.kernel
@@ -183,10 +183,7 @@ def body_balance(
     force: wp.array2d(dtype=wp.vec3d),
     torque: wp.array2d(dtype=wp.vec3d),
     # State in:
-    active: wp.array(dtype=wp.int32),
-    converged: wp.array(dtype=wp.int32),
-    step: wp.array(dtype=wp.float64),
-    coefficient: wp.array(dtype=wp.vec3d),
+    pace: Pace,
     dof: wp.array2d(dtype=wp.float64),
     gradient: wp.array2d(dtype=wp.float64),
     before: BodyMotion,
@@ -202,10 +199,10 @@ def body_balance(
     `push` (row, slot, 7) is what contact adds to the first."""
     r, s = wp.tid()
     b = body[r, s]
-    if (active[r] == 0 and converged[r] == 0) or b.mass == ZERO:
+    if (pace.active[r] == 0 and pace.converged[r] == 0) or b.mass == ZERO:
         return
-    dt = step[r]
-    c = coefficient[r]
+    dt = pace.span[r]
+    c = pace.coefficient[r]
     x = now.place[r, s]
     q = now.turn[r, s]
     v = (c[0] * x + c[1] * before.place[r, s] + c[2] * older.place[r, s]) / dt
@@ -255,39 +252,34 @@ def refuse_unbalanced(
     gravity: wp.array(dtype=wp.vec3d),
     force_scale: wp.array(dtype=wp.float64),
     length_scale: wp.array(dtype=wp.float64),
-    tolerance: wp.array(dtype=wp.float64),
     # State in:
     residual: wp.array3d(dtype=wp.float64),
     push: wp.array3d(dtype=wp.float64),
     # State in and out:
-    converged: wp.array(dtype=wp.int32),
-    active: wp.array(dtype=wp.int32),
+    pace: Pace,
 ):
     """Take back the convergence of rows whose bodies are not in balance yet."""
     r = wp.tid()
-    if converged[r] == 0:
+    if pace.converged[r] == 0:
         return
     for s in range(body.shape[1]):
         if body[r, s].mass > ZERO:
             weight = body[r, s].mass * wp.length(gravity[r])
-            limit = tolerance[r] * (force_scale[r] + weight + push[r, s, 6])
+            limit = pace.step_tolerance[r] * (force_scale[r] + weight + push[r, s, 6])
             for k in range(6):
                 value = wp.abs(residual[r, s, k])
                 if k >= 3:
                     value = value / length_scale[r]
                 if not (value <= limit):
-                    converged[r] = 0
+                    pace.converged[r] = 0
                     if wp.isfinite(value):
-                        active[r] = 1
+                        pace.active[r] = 1
 
 
 @wp.kernel
 def finish_bodies(
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    rejected: wp.array(dtype=wp.int32),
-    step: wp.array(dtype=wp.float64),
-    span: wp.array(dtype=wp.float64),
+    pace: Pace,
     # State in and out:
     now: BodyMotion,
     before: BodyMotion,
@@ -295,10 +287,10 @@ def finish_bodies(
 ):
     """Carry accepted steps over to the next, to their ends, and take rejected ones back."""
     r, s = wp.tid()
-    if accepted[r] != 0:
+    if pace.accepted[r] != 0:
         v = now.velocity[r, s]
         m = now.momentum[r, s]
-        if span[r] < step[r]:
+        if pace.span[r] < pace.step[r]:
             v = TWO * v - before.velocity[r, s]
             m = TWO * m - before.momentum[r, s]
             now.place[r, s] = TWO * now.place[r, s] - before.place[r, s]
@@ -311,6 +303,6 @@ def finish_bodies(
         before.turn[r, s] = now.turn[r, s]
         before.velocity[r, s] = v
         before.momentum[r, s] = m
-    elif rejected[r] != 0:
+    elif pace.rejected[r] != 0:
         now.place[r, s] = before.place[r, s]
         now.turn[r, s] = before.turn[r, s]

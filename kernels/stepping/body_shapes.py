@@ -15,7 +15,7 @@ from wrod.kernels.contact.closest import closest_on_edge, within_reach
 from wrod.kernels.contact.depths import SHARP
 from wrod.kernels.contact.duals import bristle_stiffness
 from wrod.kernels.contact.edges import edge_blocks, edge_touch, hold_edge
-from wrod.kernels.contact.law import Touchable
+from wrod.kernels.contact.law import ContactStep, Touchable
 from wrod.kernels.contact.shapes import WITH_RODS, Shape
 from wrod.kernels.elastic.frames import TWO, ZERO, node
 from wrod.kernels.stepping.bodies import Body, BodyMotion, turned_on
@@ -95,14 +95,7 @@ def push_carriers(
     model: Touchable,
     carried: Carried,
     # State in:
-    step: wp.array(dtype=wp.float64),
-    active: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec3d),
-    sliding: wp.array3d(dtype=wp.int32),
-    turned: wp.array3d(dtype=wp.float64),
-    dual: wp.array3d(dtype=wp.vec3d),
+    step: ContactStep,
     now: BodyMotion,
     # State in and out:
     push: wp.array3d(dtype=wp.float64),
@@ -112,28 +105,29 @@ def push_carriers(
     """Add what edges do to the bodies whose shapes they touch, subtracted as in residuals, and the
     derivatives by the motions of these bodies; after `edge_contact`, which says duals."""
     r, i = wp.tid()
-    if active[r] == 0 or model.radius[r, i] == ZERO:
+    if step.active[r] == 0 or model.radius[r, i] == ZERO:
         return
     for k in range(model.shapes.shape[1]):
         s = carried.slot[r, k]
         if s < 0:
             continue
-        c = edge_touch(model, dof, dof_before, bristle[r, k, i], r, k, i)
+        c = edge_touch(model, step, r, k, i)
         if c.force <= ZERO:
             continue
         a = 4 * i
-        spun = dof[r, a + 3] - dof_before[r, a + 3]
-        was = turned[r, k, i]
-        held = hold_edge(model, c, sliding[r, k, i], was, spun, step[r], r, k, i)
+        held = hold_edge(model, step, c, r, k, i)
         if held.slides > ZERO:
+            w = step.dual[r, k, i]
             held.tangential = bristle_stiffness(
-                c.bristle, dual[r, k, i], c.near.normal, c.stiffness, held.limit
+                c.bristle, w, c.near.normal, c.stiffness, held.limit
             )
         b = edge_blocks(c, held)
         j = 6 * s
         place = now.place[r, s]
-        arm_head = wp.skew(node(dof, r, i) - place)
-        arm_tail = wp.skew(node(dof, r, i + 1) - place)
+        to_head = node(step.dof, r, i) - place
+        to_tail = node(step.dof, r, i + 1) - place
+        arm_head = wp.skew(to_head)
+        arm_tail = wp.skew(to_tail)
         across = wp.transpose(b.mixed)
         by_shift_head = -(b.head + across)
         by_shift_tail = -(b.mixed + b.tail)
@@ -142,8 +136,8 @@ def push_carriers(
         add_columns(touch, r, j, a, by_shift_head, by_turn_head)
         add_columns(touch, r, j, a + 4, by_shift_tail, by_turn_tail)
         total = b.at_head + b.at_tail
-        add_wrench(push, r, s, -b.at_head, node(dof, r, i) - place)
-        add_wrench(push, r, s, -b.at_tail, node(dof, r, i + 1) - place)
+        add_wrench(push, r, s, -b.at_head, to_head)
+        add_wrench(push, r, s, -b.at_tail, to_tail)
         add_press(press, r, j, j, -(by_shift_head + by_shift_tail))
         add_press(press, r, j, j + 3, -(by_turn_head + by_turn_tail))
         corner = arm_head * by_shift_head + arm_tail * by_shift_tail + wp.skew(total)

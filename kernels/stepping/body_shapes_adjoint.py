@@ -10,14 +10,14 @@ them.
 import warp as wp
 from wrod.kernels.contact.edge_adjoint import PLACE, TURN, Change, WantedShapes, follow, hold
 from wrod.kernels.contact.edges import edge_touch
-from wrod.kernels.contact.law import Touchable
+from wrod.kernels.contact.law import ContactStep, Touchable
 from wrod.kernels.contact.shapes import Borne, Shape
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.bodies import BodyMotion
 from wrod.kernels.stepping.body_adjoint import WantedBodies, part
 from wrod.kernels.stepping.body_shapes import Carried
-from wrod.kernels.stepping.trace import OneStep, Wanted
+from wrod.kernels.stepping.trace import Wanted
 
 # Unrolled, its loops take a GPU's compiler two or three times as long.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -61,7 +61,7 @@ def weigh_touches(
     model: Touchable,
     carried: Carried,
     # State in:
-    step: OneStep,
+    step: ContactStep,
     now: Wanted,
     at: BodyMotion,
     # State in and out:
@@ -81,7 +81,7 @@ def weigh_touches(
         s = carried.slot[r, k]
         if s < 0:
             continue
-        c = edge_touch(model, step.dof, step.dof_before, step.edge_bristle[r, k, i], r, k, i)
+        c = edge_touch(model, step, r, k, i)
         if c.force <= ZERO:
             continue
         h = hold(model, step, c, r, k, i)

@@ -18,6 +18,7 @@ import warp as wp
 from wrod.kernels.elastic.assembly import add_diagonal_block, add_vector
 from wrod.kernels.elastic.frames import TWO, ZERO, node
 from wrod.kernels.stepping.pace import Pace
+from wrod.kernels.stepping.trace import OneStep
 
 wp.set_module_options({"enable_backward": False})
 
@@ -27,11 +28,9 @@ def predict(
     # State in:
     pace: Pace,
     free: wp.array2d(dtype=wp.int32),
-    velocity: wp.array2d(dtype=wp.float64),
-    velocity_older: wp.array2d(dtype=wp.float64),
     growth: wp.float64,
     # State in and out:
-    dof: wp.array2d(dtype=wp.float64),
+    step: OneStep,
 ):
     """Newton starts where the free degrees of freedom would be with `growth` times the last change
     of velocity, of which there is none in a first step."""
@@ -39,10 +38,10 @@ def predict(
     if pace.starting[r] == 0:
         return
     if free[r, a] != 0:
-        v = wp.float64(velocity[r, a])
+        v = wp.float64(step.velocity[r, a])
         if pace.coefficient[r][2] != ZERO:
-            v += growth * (velocity[r, a] - velocity_older[r, a])
-        dof[r, a] = dof[r, a] + pace.span[r] * v
+            v += growth * (step.velocity[r, a] - step.velocity_older[r, a])
+        step.dof[r, a] = step.dof[r, a] + pace.span[r] * v
 
 
 @wp.func
@@ -58,12 +57,7 @@ def add_inertia(
     mass: wp.array2d(dtype=wp.float64),
     air_damping: wp.array(dtype=wp.float64),
     # State in:
-    pace: Pace,
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    dof_older: wp.array2d(dtype=wp.float64),
-    velocity_before: wp.array2d(dtype=wp.float64),
-    velocity_older: wp.array2d(dtype=wp.float64),
+    step: OneStep,
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
@@ -71,13 +65,13 @@ def add_inertia(
     """Turn gradient and Hessian of the potential energy into residual and matrix of a step: add
     inertia and the air's drag c m v."""
     r, a = wp.tid()
-    if pace.active[r] == 0:
+    if step.active[r] == 0:
         return
-    dt = pace.span[r]
-    c = pace.coefficient[r]
+    dt = step.span[r]
+    c = step.coefficient[r]
     m = mass[r, a]
-    v = difference(c, dt, dof[r, a], dof_before[r, a], dof_older[r, a])
-    acceleration = difference(c, dt, v, velocity_before[r, a], velocity_older[r, a])
+    v = difference(c, dt, step.dof[r, a], step.dof_before[r, a], step.dof_older[r, a])
+    acceleration = difference(c, dt, v, step.velocity[r, a], step.velocity_older[r, a])
     gradient[r, a] = gradient[r, a] + m * (acceleration + air_damping[r] * v)
     rate = c[0] / dt
     hessian[r, a, 0] = hessian[r, a, 0] + m * rate * (rate + air_damping[r])
@@ -88,12 +82,7 @@ def add_edge_inertia(
     # Model:
     edge_mass: wp.array2d(dtype=wp.float64),
     # State in:
-    pace: Pace,
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    dof_older: wp.array2d(dtype=wp.float64),
-    velocity_before: wp.array2d(dtype=wp.float64),
-    velocity_older: wp.array2d(dtype=wp.float64),
+    step: OneStep,
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
@@ -101,22 +90,22 @@ def add_edge_inertia(
     """Take back from lumped nodes what edges of uniform mass m have less: m / 6 against any
     difference of their ends' accelerations. Launched over (rod, edge)."""
     r, i = wp.tid()
-    if pace.active[r] == 0:
+    if step.active[r] == 0:
         return
     less = edge_mass[r, i] / wp.float64(6.0)
     if less == ZERO:
         return
-    dt = pace.span[r]
-    c = pace.coefficient[r]
+    dt = step.span[r]
+    c = step.coefficient[r]
     matrix = less * (c[0] / dt) * (c[0] / dt)
     for k in range(3):
         a = 4 * i + k
         b = a + 4
-        stretched = dof[r, b] - dof[r, a]
-        before = dof_before[r, b] - dof_before[r, a]
-        v = difference(c, dt, stretched, before, dof_older[r, b] - dof_older[r, a])
-        faster = velocity_before[r, b] - velocity_before[r, a]
-        older = velocity_older[r, b] - velocity_older[r, a]
+        stretched = step.dof[r, b] - step.dof[r, a]
+        before = step.dof_before[r, b] - step.dof_before[r, a]
+        v = difference(c, dt, stretched, before, step.dof_older[r, b] - step.dof_older[r, a])
+        faster = step.velocity[r, b] - step.velocity[r, a]
+        older = step.velocity_older[r, b] - step.velocity_older[r, a]
         force = less * difference(c, dt, v, faster, older)
         wp.atomic_add(gradient, r, a, force)
         wp.atomic_sub(gradient, r, b, force)
@@ -130,6 +119,14 @@ def rate(
     coefficient: wp.vec3d, dt: wp.float64, now: wp.vec3d, before: wp.vec3d, older: wp.vec3d
 ) -> wp.vec3d:
     return (coefficient[0] * now + coefficient[1] * before + coefficient[2] * older) / dt
+
+
+@wp.func
+def velocity_of(step: OneStep, r: int, i: int) -> wp.vec3d:
+    """Of node i, where forces are taken."""
+    now = node(step.dof, r, i)
+    before = node(step.dof_before, r, i)
+    return rate(step.coefficient[r], step.span[r], now, before, node(step.dof_older, r, i))
 
 
 @wp.func
@@ -152,32 +149,27 @@ def add_drag(
     # Model:
     drag: wp.array2d(dtype=wp.vec2d),
     # State in:
-    pace: Pace,
-    dof: wp.array2d(dtype=wp.float64),
-    before: wp.array2d(dtype=wp.float64),
-    older: wp.array2d(dtype=wp.float64),
+    step: OneStep,
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
 ):
     """Add the drag of every node, (d_1 + d_2 |v|) v."""
     r, i = wp.tid()
-    if pace.active[r] == 0:
+    if step.active[r] == 0:
         return
-    c = pace.coefficient[r]
     d = drag[r, i]
-    v = rate(c, pace.span[r], node(dof, r, i), node(before, r, i), node(older, r, i))
+    v = velocity_of(step, r, i)
+    by_place = step.coefficient[r][0] / step.span[r]
     add_vector(gradient, r, 4 * i, drag_force(v, d[0], d[1]))
-    add_diagonal_block(hessian, r, 4 * i, (c[0] / pace.span[r]) * drag_matrix(v, d[0], d[1]))
+    add_diagonal_block(hessian, r, 4 * i, by_place * drag_matrix(v, d[0], d[1]))
 
 
 @wp.kernel
 def extrapolate(
     # State in:
     chosen: wp.array(dtype=wp.int32),
-    pace: Pace,
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
+    step: OneStep,
     # State out:
     end_out: wp.array2d(dtype=wp.float64),
 ):
@@ -185,36 +177,33 @@ def extrapolate(
     r, a = wp.tid()
     if chosen[r] == 0:
         return
-    end = dof[r, a]
-    if pace.span[r] < pace.step[r]:
-        end = TWO * end - dof_before[r, a]
+    end = step.dof[r, a]
+    if step.span[r] < step.whole[r]:
+        end = TWO * end - step.dof_before[r, a]
     end_out[r, a] = end
 
 
 @wp.kernel
 def shift_history(
     # State in:
-    pace: Pace,
+    accepted: wp.array(dtype=wp.int32),
     residual: wp.array2d(dtype=wp.float64),
     carried: wp.array2d(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
     # State in and out:
-    dof_older: wp.array2d(dtype=wp.float64),
-    velocity: wp.array2d(dtype=wp.float64),
-    velocity_older: wp.array2d(dtype=wp.float64),
+    step: OneStep,
     # State out:
     reaction_out: wp.array2d(dtype=wp.float64),
 ):
     """Carry an accepted step over to the next, and keep the forces that hold the rod in it."""
     r, a = wp.tid()
-    if pace.accepted[r] == 0:
+    if accepted[r] == 0:
         return
-    now = dof[r, a]
-    v = difference(pace.coefficient[r], pace.step[r], now, dof_before[r, a], dof_older[r, a])
-    if pace.span[r] < pace.step[r] and carried[r, a] != 0:
-        v = TWO * v - velocity[r, a]
-    velocity_older[r, a] = velocity[r, a]
-    velocity[r, a] = v
-    dof_older[r, a] = dof_before[r, a]
+    c = step.coefficient[r]
+    before = step.dof_before[r, a]
+    v = difference(c, step.whole[r], step.dof[r, a], before, step.dof_older[r, a])
+    if step.span[r] < step.whole[r] and carried[r, a] != 0:
+        v = TWO * v - step.velocity[r, a]
+    step.velocity_older[r, a] = step.velocity[r, a]
+    step.velocity[r, a] = v
+    step.dof_older[r, a] = before
     reaction_out[r, a] = residual[r, a]

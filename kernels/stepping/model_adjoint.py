@@ -17,7 +17,7 @@ from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.elastic.softened_bending import softening_law
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import solved
-from wrod.kernels.stepping.dynamics import difference, rate
+from wrod.kernels.stepping.dynamics import difference, rate, velocity_of
 from wrod.kernels.stepping.trace import OneStep, Wanted
 from wrod.kernels.stepping.viscosity import strain
 
@@ -223,7 +223,7 @@ def want_masses(
     wp.atomic_add(model.gravity, r, load * node_mass[r, i] * w)
     c = step.coefficient[r]
     dt = step.span[r]
-    v = rate(c, dt, node(step.dof, r, i), node(step.dof_before, r, i), node(step.dof_older, r, i))
+    v = velocity_of(step, r, i)
     a = rate(c, dt, v, node(step.velocity, r, i), node(step.velocity_older, r, i))
     weight = wp.dot(w, a + air_of_mass[r, i] * v - load * gravity[r])
     model.node_mass[r, i] = model.node_mass[r, i] - weight

@@ -23,9 +23,8 @@ class OneStep:
     times to where forces are taken and to the end of the step, which is at `time` on the way to
     `until`; configurations are those where forces are taken, at the start (`before`) and a step
     earlier (`older`), velocities and strains of the last two; strains are there if the material is
-    viscous, what friction remembers at the start (shape, node or edge) if something can be
-    touched, and if it keeps the roll how far bristles are turned; and the pairs of edges that touch
-    at the end (edge, slot), with their bristles and whether they slid at the start."""
+    viscous; and the pairs of edges that touch at the end (edge, slot), with their bristles and
+    whether they slid at the start. Of shapes: `wrod.kernels.contact.law.ContactStep`."""
 
     active: wp.array(dtype=wp.int32)
     coefficient: wp.array(dtype=wp.vec3d)
@@ -45,12 +44,6 @@ class OneStep:
     velocity_older: wp.array2d(dtype=wp.float64)
     strain: wp.array2d(dtype=wp.vec4d)
     strain_older: wp.array2d(dtype=wp.vec4d)
-    bristle: wp.array3d(dtype=wp.vec3d)
-    sliding: wp.array3d(dtype=wp.int32)
-    edge_bristle: wp.array3d(dtype=wp.vec3d)
-    edge_sliding: wp.array3d(dtype=wp.int32)
-    turned: wp.array3d(dtype=wp.float64)
-    edge_turned: wp.array3d(dtype=wp.float64)
     pair_partner: wp.array3d(dtype=wp.int32)
     pair_bristle: wp.array3d(dtype=wp.vec2d)
     pair_load: wp.array3d(dtype=wp.float64)

@@ -19,6 +19,7 @@ import warp as wp
 from wrod.kernels.elastic.curvature import component, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO, edge
 from wrod.kernels.elastic.model import ElasticModel
+from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})
 
@@ -93,10 +94,7 @@ def measure_strains(
 @wp.kernel
 def relax_strains(
     # State in:
-    accepted: wp.array(dtype=wp.int32),
-    coefficient: wp.array(dtype=wp.vec3d),
-    step: wp.array(dtype=wp.float64),
-    whole: wp.array(dtype=wp.float64),
+    pace: Pace,
     relaxation: wp.array2d(dtype=wp.float64),
     dof: wp.array2d(dtype=wp.float64),
     director: wp.array2d(dtype=wp.vec3d),
@@ -107,14 +105,14 @@ def relax_strains(
 ):
     """What viscous moments that relax remember of an accepted step."""
     r, i = wp.tid()
-    if accepted[r] == 0:
+    if pace.accepted[r] == 0:
         return
     now = measured(dof, director, reference_twist, r, i)
     before = strain_out[r, i]
     older = strain_older_out[r, i]
     theta = relaxation[wp.min(r, relaxation.shape[0] - 1), i]
-    q = relaxed_strain(coefficient[r] / step[r], theta, now, before, older)
-    ratio = whole[r] / step[r]
+    q = relaxed_strain(pace.coefficient[r] / pace.span[r], theta, now, before, older)
+    ratio = pace.step[r] / pace.span[r]
     if ratio > ONE:
         # A midpoint step goes straight on from where its forces are.
         q = before + ratio * (q - before)
@@ -141,9 +139,7 @@ def flow_stretching(
     model: ElasticModel,
     viscous_time: wp.array2d(dtype=wp.vec4d),
     # State in:
-    starting: wp.array(dtype=wp.int32),
-    coefficient: wp.array(dtype=wp.vec3d),
-    step: wp.array(dtype=wp.float64),
+    pace: Pace,
     strain: wp.array2d(dtype=wp.vec4d),
     strain_older: wp.array2d(dtype=wp.vec4d),
     # Out:
@@ -151,7 +147,7 @@ def flow_stretching(
 ):
     """Stiffness and rest length of the elastic edges that stand for the viscous ones this step."""
     r, i = wp.tid()
-    if starting[r] == 0:
+    if pace.starting[r] == 0:
         return
     k = model.stretching[r, i]
     rest = model.rest_length[r, i]
@@ -160,10 +156,11 @@ def flow_stretching(
     eta = viscous_time[r, i][3]
     if eta == ZERO or k == ZERO:
         return
-    c = coefficient[r]
-    factor = ONE + eta * c[0] / step[r]
+    c = pace.coefficient[r]
+    dt = pace.span[r]
+    factor = ONE + eta * c[0] / dt
     # c_0 + c_1 + c_2 = 0: the history of |e| / l - 1 is that of |e| / l, and c_0.
-    history = (c[0] + (c[1] * strain[r, i][3] + c[2] * strain_older[r, i][3]) / rest) / step[r]
+    history = (c[0] + (c[1] * strain[r, i][3] + c[2] * strain_older[r, i][3]) / rest) / dt
     stretch = ONE - eta * history / factor
     flown.rest_length[r, i] = stretch * rest
     flown.stretching[r, i] = factor * stretch * k
@@ -176,9 +173,7 @@ def flow_bending(
     viscous_time: wp.array2d(dtype=wp.vec4d),
     relaxation: wp.array2d(dtype=wp.float64),
     # State in:
-    starting: wp.array(dtype=wp.int32),
-    coefficient: wp.array(dtype=wp.vec3d),
-    step: wp.array(dtype=wp.float64),
+    pace: Pace,
     strain: wp.array2d(dtype=wp.vec4d),
     strain_older: wp.array2d(dtype=wp.vec4d),
     # In and out:
@@ -186,15 +181,15 @@ def flow_bending(
 ):
     """The same of bending and twisting, for edges whose rest lengths have flown."""
     r, j = wp.tid()
-    if starting[r] == 0:
+    if pace.starting[r] == 0:
         return
     i = j + 1
     length = HALF * (model.rest_length[r, i - 1] + model.rest_length[r, i])
     # Moments per integrated strain must not know of lengths that only stretching has changed.
     grown = HALF * (flown.rest_length[r, i - 1] + flown.rest_length[r, i]) / length
     eta = viscous_time[r, i]
-    c = coefficient[r]
-    dt = step[r]
+    c = pace.coefficient[r]
+    dt = pace.span[r]
     eta = eta / (ONE + relaxation[wp.min(r, relaxation.shape[0] - 1), i] * c[0] / dt)
     history = (c[1] * strain[r, i] + c[2] * strain_older[r, i]) / (dt * length)
     f1 = ONE + eta[0] * c[0] / dt

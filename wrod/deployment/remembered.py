@@ -130,7 +130,7 @@ class LaidParts:
             arrays.append(self.batch.inelastic)
         arrays += [state.dof, state.tangent, state.director, state.reference_twist]
         contact = self.contact
-        arrays += [*contact.memory[1:], *contact.duals, contact.turned, contact.slip]
+        arrays += [*contact.bristles.arrays.values(), contact.slip]
         return [*arrays, contact.force]
 
 

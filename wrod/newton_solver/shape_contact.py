@@ -119,7 +119,7 @@ class ShapeContact:
         """(row, node) stiffness of contact per mass of each node's rod, if it goes with it."""
         if not self._stiffens_by_mass:
             return None
-        return self.contact.memory[0].stiffness.numpy() / self._layout.rod_mass()
+        return self.contact.model.stiffness.numpy() / self._layout.rod_mass()
 
     def indices(self) -> np.ndarray:
         """(row, shape) of the shapes in the model, -1 where a row has fewer than others."""

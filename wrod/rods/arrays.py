@@ -209,7 +209,7 @@ class BatchArrays(OnDevice):
             director = self._array("director", director, (rods, shape, 3), wp.vec3d)
         else:
             director = wp.empty(shape, dtype=wp.vec3d, device=device)
-        self.launch(set_configuration, (rods, nodes), [position, angle], [state.dof])
+        self.launch_nodes(set_configuration, [position, angle], [state.dof])
         problem = wp.zeros(rods, dtype=wp.int32, device=device)
         outputs = [state.tangent, state.director, problem]
         self.launch(set_reference_frames, rods, [state.dof, director, source], outputs)
@@ -278,13 +278,25 @@ class BatchArrays(OnDevice):
         """Launch a kernel on the batch's device, there so many threads a block."""
         wp.launch(kernel, dim, inputs, outputs, device=self.device, block_dim=block)
 
+    def launch_nodes(self, kernel: wp.Kernel, inputs: list, outputs: Sequence = ()) -> None:
+        """Launch a kernel over (rod, node)."""
+        self.launch(kernel, (self.rod_count, self.node_count), inputs, outputs)
+
+    def launch_inner(self, kernel: wp.Kernel, inputs: list, outputs: Sequence = ()) -> None:
+        """Launch a kernel over (rod, inner node)."""
+        self.launch(kernel, (self.rod_count, self.node_count - 2), inputs, outputs)
+
+    def launch_edges(self, kernel: wp.Kernel, inputs: list, outputs: Sequence = ()) -> None:
+        """Launch a kernel over (rod, edge)."""
+        self.launch(kernel, (self.rod_count, self.node_count - 1), inputs, outputs)
+
+    def launch_dofs(self, kernel: wp.Kernel, inputs: list, outputs: Sequence = ()) -> None:
+        """Launch a kernel over (rod, dof)."""
+        self.launch(kernel, (self.rod_count, self.dof_count), inputs, outputs)
+
     def _launch_twist(self, source: RodState, target: RodState, active: wp.array) -> None:
-        self.launch(
-            reference_twist,
-            (self.rod_count, self.node_count - 2),
-            [active, target.tangent, target.director, source.reference_twist],
-            [target.reference_twist],
-        )
+        inputs = [active, target.tangent, target.director, source.reference_twist]
+        self.launch_inner(reference_twist, inputs, [target.reference_twist])
 
 
 def never_bent(batch: BatchArrays, number: np.ndarray) -> wp.array:
@@ -293,5 +305,5 @@ def never_bent(batch: BatchArrays, number: np.ndarray) -> wp.array:
     shape = (batch.rod_count, batch.node_count)
     numbers = batch._array("inelastic", number, (*shape, 4), wp.vec4d)
     node = wp.zeros(shape, dtype=Inelastic, device=batch.device)
-    batch.launch(set_inelastic_laws, shape, [numbers], [node])
+    batch.launch_nodes(set_inelastic_laws, [numbers], [node])
     return node

@@ -186,9 +186,8 @@ class RodBatch(BatchArrays):
 
     def transport_frames(self, source: RodState, target: RodState, active: wp.array) -> None:
         """Bring `target`'s frames to its own positions by time-parallel transport from `source`."""
-        self.launch(
+        self.launch_edges(
             transport_reference_frames,
-            (self.rod_count, self.node_count - 1),
             [active, target.dof, source.tangent, source.director],
             [target.tangent, target.director],
         )
@@ -196,9 +195,8 @@ class RodBatch(BatchArrays):
 
     def copy_states(self, chosen: wp.array, source: RodState, target: RodState) -> None:
         """The whole configuration of the chosen rods."""
-        self.launch(
+        self.launch_nodes(
             copy_configuration,
-            (self.rod_count, self.node_count),
             [chosen, source.dof, source.tangent, source.director, source.reference_twist],
             [target.dof, target.tangent, target.director, target.reference_twist],
         )

@@ -27,6 +27,7 @@ from wrod.solvers.step_parts import StepParts
 from wrod.solvers.steps import SCHEMES
 from wrod.solvers.trace import (
     Record,
+    bristle_arrays,
     make_wanted,
     require_differentiable,
     step_arrays,
@@ -85,7 +86,8 @@ class StepAdjoint:
 
         self.now, self.before, self.older = (make_wanted(dynamics) for _ in range(3))
         arrays = {name: wp.zeros_like(a) for name, a in step_arrays(dynamics).items()}
-        recalled = list(arrays.values())
+        bristles = {name: wp.zeros_like(a) for name, a in bristle_arrays(dynamics).items()}
+        recalled = [*arrays.values(), *bristles.values()]
         arrays["active"] = wp.zeros(rods, dtype=wp.int32, device=device)
         self.step = filled(OneStep(), arrays)
         self._end = filled(OneStep(), arrays)
@@ -98,15 +100,15 @@ class StepAdjoint:
         self._state = RodState(
             arrays["dof"], arrays["tangent"], arrays["director"], arrays["twist"]
         )
-        paced = ("active", "coefficient", "span")
-        self._pace = filled(Pace(), {name: arrays[name] for name in paced})
+        paced = {name: arrays[name] for name in ("active", "coefficient", "span")}
+        self._pace = filled(Pace(), {**paced, "starting": paced["active"]})
         self._at = Derivatives.zeros(rods, dofs, device)
         self.gradient = self._at.gradient
         self._by_end, self._by_start, self._moment = (
             floats(nodes - 1, dtype=wp.vec3d) for _ in range(3)
         )
         self._spin_inertia, self._wanted = floats(nodes - 1), floats(dofs)
-        self._contact = ContactAdjoint(dynamics, stiffness_of_mass)
+        self._contact = ContactAdjoint(dynamics, self.step, bristles, stiffness_of_mass)
         self.by_friction, self.by_shape = self._contact.by_friction, self._contact.by_shape
         turns = self._by_end, self._by_start
         self._pairs = PairAdjoint.of(dynamics, self.step, turns, pair_law)
@@ -206,8 +208,7 @@ class StepAdjoint:
         self._factorise()
         self._solve()
         self.by_spins.zero_()
-        friction = (self.now, self.before), self._x, self._properties
-        self._contact.want_friction(self.step, *friction)
+        self._contact.want_friction((self.now, self.before), self._x, self._properties)
         if self._pairs is not None:
             self._pairs.want_before(self.now, self.before, self.model)
         levels = self.before, self.older
@@ -238,27 +239,20 @@ class StepAdjoint:
 
     def _settle(self, chosen: wp.array, at: Any) -> None:
         if self.viscosity.exists:
-            batch = self.batch
-            batch.launch(
-                model_adjoint.want_strained,
-                (batch.rod_count, batch.node_count),
-                [chosen, at.dof, at.director],
-                [self.now],
-            )
+            inputs = [chosen, at.dof, at.director]
+            self.batch.launch_nodes(model_adjoint.want_strained, inputs, [self.now])
 
     def _go_to_middle(self) -> None:
         """From the ends of steps of the midpoint rule."""
         batch, step, end = self.batch, self.step, self._end
         ways, kinds = [self._by_end, self._by_start], [batch.free, self.moved]
-        batch.launch(
+        batch.launch_edges(
             midpoint_adjoint.want_angles,
-            (batch.rod_count, batch.node_count - 1),
             [*kinds, step],
             [end, self.now, self.before, self.held, self._turn, *ways],
         )
-        batch.launch(
+        batch.launch_nodes(
             midpoint_adjoint.want_places,
-            (batch.rod_count, batch.node_count),
             [*kinds, step, end, self._turn, *ways],
             [self.now, self.before, self.held],
         )
@@ -268,30 +262,20 @@ class StepAdjoint:
     def _factorise(self) -> None:
         """A_n^T of the step, as `Dynamics` puts A_n together."""
         batch, dynamics, step, at = self.batch, self.dynamics, self.step, self._at
-        rods, nodes, dofs = batch.rod_count, batch.node_count, batch.dof_count
-        self.viscosity.flow(
-            step.active, step.coefficient, step.span, step.strain, step.strain_older
-        )
+        self.viscosity.flow(self._pace, step.strain, step.strain_older)
         batch.evaluate(
             order=2, state=self._state, out=at, active=step.active, model=self.viscosity.model,
             energy=False, energies=None if self._past is None else self._past.energies,
         )  # fmt: skip
-        places = [step.dof, step.dof_before, step.dof_older]
-        add_inertia(dynamics, self._pace, places, [step.velocity, step.velocity_older], at)
-        edges = (rods, nodes - 1)
-        batch.launch(kernels.measure_turns, edges, [step], [self._by_end, self._by_start])
-        batch.launch(
-            kernels.weigh_spins, edges, [dynamics.mass, dynamics.air_damping, step],
-            [self._spin_inertia, self._moment],
-        )  # fmt: skip
+        add_inertia(dynamics, step, at)
+        batch.launch_edges(kernels.measure_turns, [step], [self._by_end, self._by_start])
+        inputs = [dynamics.mass, dynamics.air_damping, step]
+        batch.launch_edges(kernels.weigh_spins, inputs, [self._spin_inertia, self._moment])
         self._contact.add(step, self.now, at, self._matrix)
         if self._pairs is not None:
             self._pairs.weigh(self.now, at.gradient, self._moment)
-        batch.launch(
-            kernels.assemble,
-            (rods, dofs),
-            [self._banded, batch.free, self._matrix],
-            [self._factor],
+        batch.launch_dofs(
+            kernels.assemble, [self._banded, batch.free, self._matrix], [self._factor]
         )
         batch.launch_lanes(banded_lu.factorise, [self._banded], [self._factor])
         if self._pairs is not None:
@@ -304,13 +288,9 @@ class StepAdjoint:
 
     def _solve(self) -> None:
         batch, step, now = self.batch, self.step, self.now
-        rods, nodes, dofs = batch.rod_count, batch.node_count, batch.dof_count
-        batch.launch(kernels.want_turns, (rods, nodes - 1), [step], [now])
-        batch.launch(
-            kernels.load_wanted,
-            (rods, nodes),
-            [batch.free, step, now, self._by_end],
-            [self._wanted, self._x],
+        batch.launch_edges(kernels.want_turns, [step], [now])
+        batch.launch_nodes(
+            kernels.load_wanted, [batch.free, step, now, self._by_end], [self._wanted, self._x]
         )
         if self.bodies is not None:
             self.bodies.load(step, self._matrix, self.gradient, now)
@@ -319,27 +299,21 @@ class StepAdjoint:
             self._pairs.solve(self._x)
         if self.bodies is not None:
             self.bodies.solve(step, self._wanted)
-        batch.launch(
+        batch.launch_dofs(
             kernels.want_held,
-            (rods, dofs),
             [batch.free, step.active, self._matrix, self._wanted, self._x],
             [self._held],
         )
         if self._pairs is not None:
             self._pairs.want_held(self._held)
-        batch.launch(
-            kernels.want_turns_before,
-            (rods, nodes - 1),
-            [step.active, self._spin_inertia, self._x],
-            [now],
+        batch.launch_edges(
+            kernels.want_turns_before, [step.active, self._spin_inertia, self._x], [now]
         )
 
     def _want_before(self) -> None:
         batch, dynamics, step = self.batch, self.dynamics, self.step
-        shape = (batch.rod_count, batch.node_count)
-        batch.launch(
+        batch.launch_nodes(
             kernels.want_before,
-            shape,
             [dynamics.mass, self._edge_mass, dynamics.air_damping, self._drag]
             + [step, self.now, self._by_start, self._x],
             [self.before, self.older],
@@ -348,9 +322,8 @@ class StepAdjoint:
             self.bodies.want_before(step, self.model.gravity)
         if self._past is not None:
             self._past.want_before(step, self._x, self.now, self.before, self.model)
-        batch.launch(
+        batch.launch_nodes(
             kernels.want_still,
-            shape,
             [batch.free, self.moved, step.active, self._by_end, self._by_start, self._held],
             [self.before, self.held],
         )

@@ -90,6 +90,12 @@ class Bodies:
                         out[row, 4 * h["edge"] + 3] = 1
         return out
 
+    def _each_body(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+        self.batch.launch(kernel, self.body.shape, inputs, outputs)
+
+    def _each_hold(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+        self.batch.launch(kernel, self.hold.shape, inputs, outputs)
+
     def meet_rods(self) -> None:
         """Make room for rods that touch shapes of these bodies."""
         self.touch = wp.zeros_like(self._column)
@@ -103,47 +109,39 @@ class Bodies:
     def begin(self, steps: Steps) -> None:
         """Predict where bodies are at the end of a step, and put there what they hold."""
         self.spans = steps.span, steps.step
-        self.batch.launch(
-            kernels.predict_bodies,
-            self.body.shape,
-            [self.body, steps.starting, steps.span, self.before],
-            [self.now],
-        )
+        self._each_body(kernels.predict_bodies, [self.body, steps.pace, self.before], [self.now])
         self.put(steps.starting, steps.start)
 
     def put(self, chosen: wp.array, start: RodState) -> None:
         """Put what the bodies of the chosen rows hold to where they are."""
-        self.batch.launch(
+        self._each_hold(
             kernels.place_held,
-            self.hold.shape,
             [self.body, self.hold, chosen, self.now, start.tangent, start.director],
             [self.batch.state.dof],
         )
 
     def balance(self, steps: Steps) -> None:
         """Residuals of the bodies, which take back the convergence of rows they are large in."""
-        self.batch.launch(
+        self._each_body(
             kernels.body_balance,
-            self.body.shape,
-            [self.body, self.hold, self.batch.gravity, self.force, self.torque, steps.active]
-            + [steps.converged, steps.span, steps.coefficient, self.batch.state.dof]
-            + [self.batch.derivatives.gradient, self.before, self.older, self.push],
+            [self.body, self.hold, self.batch.gravity, self.force, self.torque, steps.pace]
+            + [self.batch.state.dof, self.batch.derivatives.gradient]
+            + [self.before, self.older, self.push],
             [self.now, self._residual, self._matrix],
         )
         self.batch.launch(
             kernels.refuse_unbalanced,
             self.batch.rod_count,
             [self.body, self.batch.gravity, steps.force_scale, steps.length_scale]
-            + [steps.step_tolerance, self._residual, self.push],
-            [steps.converged, steps.active],
+            + [self._residual, self.push],
+            [steps.pace],
         )
 
     def load(self, steps: Steps) -> None:
         """Right-hand sides of the rods' system: the residual, and one for each motion."""
         out, active, x = self.batch.derivatives, steps.active, steps.system.x
-        self.batch.launch(
+        self._each_hold(
             body_system.spread_motion,
-            self.hold.shape,
             [self.hold, active, self.now, self.batch.state.dof],
             [self._motion],
         )
@@ -178,18 +176,14 @@ class Bodies:
             [self.body, active],
             [self._small, self._step, self._fraction],
         )
-        self.batch.launch(
-            body_system.combine,
-            (x.shape[0], x.shape[2]),
-            [active, free, self._motion, self._step, self._fraction],
-            [x],
+        self.batch.launch_dofs(
+            body_system.combine, [active, free, self._motion, self._step, self._fraction], [x]
         )
 
     def move(self, steps: Steps) -> None:
         """Take the step that the rods have taken."""
-        self.batch.launch(
+        self._each_body(
             body_system.move_bodies,
-            self.body.shape,
             [self.body, steps.active, self._step, self._fraction]
             + [steps.system.shortened, steps.taken],
             [self.now],
@@ -198,18 +192,16 @@ class Bodies:
 
     def finish(self, steps: Steps) -> None:
         """Carry accepted steps over to the next, and take rejected ones back."""
-        self.batch.launch(
+        self._each_body(
             kernels.finish_bodies,
-            self.body.shape,
-            [steps.accepted, steps.rejected, steps.step, steps.span],
+            [steps.pace],
             [self.now, self.before, self.older],
         )
 
     def find_changes(self, body_q: wp.array, body_qd: wp.array, changed: wp.array) -> None:
         """Raise `changed` (row,) where a simulator's bodies are not as `write` left them."""
-        self.batch.launch(
+        self._each_body(
             body_exchange.find_moved_bodies,
-            self.body.shape,
             [self.body, body_q, body_qd, self._written_q, self._written_qd],
             [changed],
         )
@@ -217,25 +209,22 @@ class Bodies:
     def read(self, chosen: wp.array, body_q, body_qd, body_f, start: RodState, velocity) -> None:
         """Take a simulator's bodies up in the chosen rows, what they hold with them, and the
         forces on all."""
-        self.batch.launch(
+        self._each_body(
             body_exchange.read_bodies,
-            self.body.shape,
             [self.body, chosen, body_q, body_qd, body_f],
             [self.now, self.before, self.force, self.torque],
         )
         self.put(chosen, start)
-        self.batch.launch(
+        self._each_hold(
             body_exchange.carry_velocity,
-            self.hold.shape,
             [self.body, self.hold, chosen, self.before, self.batch.state.dof],
             [velocity],
         )
 
     def write(self, body_q: wp.array, body_qd: wp.array) -> None:
         """Give a simulator its bodies back, in its precision."""
-        self.batch.launch(
+        self._each_body(
             body_exchange.write_bodies,
-            self.body.shape,
             [self.body, self.now, self.before],
             [body_q, body_qd, self._written_q, self._written_qd],
         )

@@ -183,9 +183,8 @@ class BodyAdjoint:
             [bodies.body, active],
             [self._small, self.multiplier, self._fraction],
         )
-        batch.launch(
+        batch.launch_dofs(
             body_system.combine,
-            (batch.rod_count, batch.dof_count),
             [active, free, self._motion, self.multiplier, self._whole],
             [self._numbers],
         )

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from wrod.kernels.contact.law import Touchable
+from wrod.kernels.contact.law import ContactStep, Touchable
 from wrod.kernels.stepping import body_shapes_adjoint as kernels
 from wrod.kernels.stepping.body_shapes import place_shapes
 from wrod.solvers.bodies import motion_of
@@ -16,16 +16,17 @@ class CarriedAdjoint:
 
     Args:
         carried: the shapes.
-        model: how edges touch them.
+        model, touched: how edges touch them, and in the step gone through.
         steps: `wrod.kernels.stepping.body_adjoint.BodySteps` of the step gone through.
         borne: `wrod.kernels.contact.shapes.Borne`, to be filled.
         by_shape: `wrod.kernels.contact.edge_adjoint.WantedShapes`, to be used up.
     """
 
     def __init__(
-        self, carried: CarriedShapes, model: Touchable, steps: Any, borne: Any, by_shape: Any
-    ):
-        self._carried, self._model = carried, model
+        self, carried: CarriedShapes, model: Touchable, touched: ContactStep, steps: Any,
+        borne: Any, by_shape: Any,
+    ):  # fmt: skip
+        self._carried, self._model, self._touched = carried, model, touched
         self._borne, self._by_shape = borne, by_shape
         self._batch = carried.batch
         rest = [steps.momentum] * 2  # is not asked for
@@ -45,10 +46,9 @@ class CarriedAdjoint:
     def weigh(self, at: Any, wanted: Any, system: list, rods: list) -> None:
         """Add to the bodies' system and to the rods' right-hand sides."""
         batch = self._batch
-        batch.launch(
+        batch.launch_edges(
             kernels.weigh_touches,
-            (batch.rod_count, batch.node_count - 1),
-            [self._model, self._carried.places, at, wanted, self._now],
+            [self._model, self._carried.places, self._touched, wanted, self._now],
             system,
         )
         on_bodies = system[2]
@@ -59,7 +59,7 @@ class CarriedAdjoint:
         be moved by them."""
         batch = self._batch
         inputs = [batch.free, at.active, on_bodies, multiplier]
-        batch.launch(kernels.want_held, (batch.rod_count, batch.dof_count), inputs, [wanted])
+        batch.launch_dofs(kernels.want_held, inputs, [wanted])
         inputs = [self._carried.places, at.active, self._now, multiplier]
         batch.launch(kernels.bear, self._model.shapes.shape, inputs, [self._borne])
 

@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 
-from wrod.kernels.contact.law import Touchable
+from wrod.kernels.contact.law import ContactStep, Touchable
 from wrod.kernels.stepping import body_shapes as kernels
 from wrod.solvers.bodies import Bodies
 
@@ -44,13 +44,12 @@ class CarriedShapes:
             [shapes],
         )
 
-    def push(self, model: Touchable, touching: list) -> None:
-        """Add forces and stiffness: arguments of `push_carriers`."""
+    def push(self, model: Touchable, step: ContactStep) -> None:
+        """Add forces and stiffness."""
         bodies = self.bodies
-        self.batch.launch(
+        self.batch.launch_edges(
             kernels.push_carriers,
-            (self.batch.rod_count, self.batch.node_count - 1),
-            [model, self.places, *touching, bodies.now],
+            [model, self.places, step, bodies.now],
             [bodies.push, bodies.press, bodies.touch],
         )
 

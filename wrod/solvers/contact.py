@@ -10,13 +10,13 @@ from wrod.errors import RodError
 from wrod.kernels.contact import energies, linearised
 from wrod.kernels.contact import planes as kernels
 from wrod.kernels.contact import rolling as rolls
-from wrod.kernels.contact.law import Touchable
+from wrod.kernels.contact.law import ContactStep, Touchable
 from wrod.kernels.contact.shapes import NOTHING, Shape
 from wrod.rods.batch import RodBatch
 from wrod.rods.device import OnDevice
 from wrod.rods.discretisation import cells
 from wrod.solvers.carried_shapes import CarriedShapes
-from wrod.solvers.edge_contact import EdgeContact
+from wrod.solvers.edge_contact import Bristles, EdgeContact
 from wrod.solvers.friction import Friction, FrictionField, contact_damping
 from wrod.solvers.solids import Plane, shape_record
 
@@ -63,11 +63,11 @@ class Contact(OnDevice):
             it, without one rates are 0.
         iteration: (rod,) number of the present one of Newton's method; a `Dynamics` says it. By
             default `ended`, -1 all: the matrix is that of a state where none follows.
-        duals: (rod, shape, node) how bristles were stretched in the last iteration, and their duals
-            (`wrod.kernels.contact.duals`).
+        model: what nodes touch, and how: `wrod.kernels.contact.law.Touchable`.
+        bristles: what friction remembers of nodes.
         force: (rod, node) force on each node at the end of the last step.
         slip: (rod, node) distance that each node has slid in all [length].
-        holds_roll: whether the roll of any rod is kept; (rod, shape, node) `turned` how far.
+        holds_roll: whether the roll of any rod is kept.
 
     Raises:
         RodError: radius or stiffness is not positive and finite, a shape has no size, or friction
@@ -107,7 +107,7 @@ class Contact(OnDevice):
         firm = stiffness * cells(batch.rest_length.numpy())
         ratio = batch.node_mass.numpy() / firm
         field = self.friction_field
-        self._model = model = Touchable()
+        self.model = model = Touchable()
         model.shapes, model.rest_length = shapes, batch.rest_length
         model.static_friction, model.kinetic_friction = floats(static), floats(kinetic)
         model.roll_friction, model.rolling = floats(self._kept(roll, rolling)), floats(rolling)
@@ -124,12 +124,8 @@ class Contact(OnDevice):
             batch, np.where(idle, np.nan, radius), stiffness, _SKIN, model, damping
         )
         self._note_fixtures()
-        per_shape = (rods, shapes.shape[1], nodes)
-        self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
-        self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
-        self.duals = tuple(wp.zeros(per_shape, dtype=wp.vec3d, device=device) for _ in range(2))
+        self.bristles = Bristles(batch, shapes.shape[1], nodes)
         self.ended = self.iteration = wp.full(rods, -1, dtype=wp.int32, device=device)
-        self.turned = wp.zeros(per_shape, dtype=wp.float64, device=device)
         self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
         self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
         if self._has_fixtures:
@@ -212,12 +208,16 @@ class Contact(OnDevice):
     @property
     def table(self) -> wp.array:
         """(rod, shape) `wrod.kernels.contact.shapes.Shape`, for kernels that move them."""
-        return self._model.shapes
+        return self.model.shapes
 
-    @property
-    def memory(self) -> tuple:
-        """What nodes touch, their bristles (rod, shape, node), and whether those slid."""
-        return self._model, self._bristle, self._sliding
+    def step_of(
+        self, of: "Contact | EdgeContact", active: wp.array, dof: wp.array, dof_before: wp.array
+    ) -> ContactStep:
+        """The present step of the rods that are not 0 in `active`, of nodes or of edges."""
+        span, iteration = self.time_step, self.iteration
+        return of.bristles.step(
+            active=active, span=span, dof=dof, dof_before=dof_before, iteration=iteration
+        )
 
     @property
     def solids(self) -> EdgeContact | None:
@@ -248,10 +248,10 @@ class Contact(OnDevice):
             self.shapes, self.friction = before
             raise RodError("the number of shapes changed; make a new Contact")
         wp.copy(self.table, table)
-        self._model.static_friction.assign(static)
-        self._model.kinetic_friction.assign(kinetic)
-        self._model.rolling.assign(rolling)
-        self._model.roll_friction.assign(self._kept(roll, rolling))
+        self.model.static_friction.assign(static)
+        self.model.kinetic_friction.assign(kinetic)
+        self.model.rolling.assign(rolling)
+        self.model.roll_friction.assign(self._kept(roll, rolling))
         self._note_fixtures()
 
     def carry(self, carried: CarriedShapes, apart: np.ndarray) -> None:
@@ -263,7 +263,7 @@ class Contact(OnDevice):
         fortieth of the radius [force]; what has none bears the heaviest by a `burdened` rod."""
         heaviest = burden.max(axis=1, keepdims=True)
         self._edges.bear(np.maximum(burden, np.where(burden > 0, 0, heaviest)))
-        model = self._model
+        model = self.model
         given = model.stiffness.numpy()
         firm = np.maximum(given, 0.5 * heaviest / model.skin.numpy())
         self.burdened = firm > given
@@ -271,23 +271,13 @@ class Contact(OnDevice):
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces and stiffness at `dof` to the batch's gradient and Hessian."""
-        out = self.batch.derivatives
-        self.batch.launch(
-            kernels.contact,
-            (self.batch.rod_count, self.batch.node_count),
-            [self._model, self.time_step, active, dof, dof_before]
-            + [self._bristle, self._sliding, self.iteration],
-            [*self.duals, out.gradient, out.hessian],
-        )
+        out = [self.batch.derivatives.gradient, self.batch.derivatives.hessian]
+        inputs = [self.model, self.step_of(self, active, dof, dof_before)]
+        self.batch.launch_nodes(kernels.contact, inputs, out)
         if self._has_fixtures:
-            self._edges.add(self.time_step, active, dof, dof_before, self.iteration)
+            self._edges.add(self.step_of(self._edges, active, dof, dof_before))
         if self.holds_roll:
-            self.batch.launch(
-                rolls.hold_roll,
-                (self.batch.rod_count, self.batch.node_count),
-                [self._model, self.time_step, active, dof, dof_before, self.turned],
-                [out.gradient, out.hessian],
-            )
+            self.batch.launch_nodes(rolls.hold_roll, inputs, out)
 
     def linearise(
         self, accepted: wp.array, dof: wp.array, dof_before: wp.array, outputs: list[wp.array]
@@ -299,13 +289,8 @@ class Contact(OnDevice):
             dof, dof_before: (rod, dof) at the end and at the start of the steps.
             outputs: (rod, node) each: see `wrod.kernels.contact.linearised.linearise_contact`.
         """
-        self.batch.launch(
-            linearised.linearise_contact,
-            (self.batch.rod_count, self.batch.node_count),
-            [self._model, self.time_step, accepted, dof, dof_before]
-            + [self._bristle, self._sliding, self.turned],
-            outputs,
-        )
+        inputs = [self.model, self.step_of(self, accepted, dof, dof_before)]
+        self.batch.launch_nodes(linearised.linearise_contact, inputs, outputs)
 
     def bearing(self) -> np.ndarray:
         """(rod, shape) stiffness that an edge has for what it is to bear [force/length]."""
@@ -314,17 +299,13 @@ class Contact(OnDevice):
     @property
     def tangent_stiffness(self) -> wp.array:
         """(rod, node) stiffness of each node's bristle [force/length]."""
-        return self._model.stiffness
+        return self.model.stiffness
 
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) touch everything for the first time."""
-        for bristle, sliding in (
-            (self._bristle, self._sliding),
-            (self._edges.bristle, self._edges.sliding),
-        ):
-            self.batch.launch(kernels.forget_friction, bristle.shape, [chosen], [bristle, sliding])
-        for turned in (self.turned, self._edges.turned):
-            self.batch.launch(rolls.forget_roll, turned.shape, [chosen], [turned])
+        for bristles in (self.bristles, self._edges.bristles):
+            shape = bristles.arrays["bristle"].shape
+            self.batch.launch(kernels.forget_friction, shape, [chosen], [bristles.step()])
         if self._has_fixtures:
             self._edges.restart(chosen, self.batch.state.dof)
 
@@ -339,33 +320,31 @@ class Contact(OnDevice):
         self, chosen: wp.array, dof: wp.array, dof_before: wp.array, touching: wp.array
     ) -> None:
         """Raise `touching` (rod,) of the chosen rods to 1 where they touch, to 2 in an impact."""
-        self.batch.launch(
-            kernels.find_touching,
-            (self.batch.rod_count, self.batch.node_count),
-            [self._model, chosen, dof, dof_before],
-            [touching],
-        )
+        inputs = [self.model, self.step_of(self, chosen, dof, dof_before)]
+        self.batch.launch_nodes(kernels.find_touching, inputs, [touching])
         if self._has_fixtures:
-            self._edges.find_touching(chosen, dof, dof_before, touching)
+            self._edges.find_touching(self.step_of(self._edges, chosen, dof, dof_before), touching)
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
-        nodes, inputs = self.slip.shape, [self._model, self.time_step, accepted, dof, dof_before]
-        carried = [self._bristle, self._sliding, self.slip, self.force]
-        self.batch.launch(kernels.settle_friction, nodes, inputs, carried)
+        step = self.step_of(self, accepted, dof, dof_before)
+        outputs = [step, self.slip, self.force]
+        self.batch.launch_nodes(kernels.settle_friction, [self.model], outputs)
         if self.holds_roll:
-            self.batch.launch(rolls.settle_roll, nodes, inputs, [self.turned])
+            self.batch.launch_nodes(rolls.settle_roll, [self.model], [step])
         if self._has_fixtures:
-            self._edges.settle(self.time_step, accepted, dof, dof_before, self.slip, self.force)
+            step = self.step_of(self._edges, accepted, dof, dof_before)
+            self._edges.settle(step, self.slip, self.force)
 
     def energy(self) -> np.ndarray:
         """(rod,) elastic energy of what touches now, with that of its friction."""
         batch = self.batch
         energy = wp.zeros(batch.rod_count, dtype=wp.float64, device=batch.device)
-        inputs = [self._model, batch.state.dof, self._bristle, self.turned]
-        batch.launch(energies.add_node_energy, self.slip.shape, inputs, [energy])
+        here = batch.every_rod, batch.state.dof, batch.state.dof
+        inputs = [self.model, self.step_of(self, *here)]
+        batch.launch_nodes(energies.add_node_energy, inputs, [energy])
         if self._has_fixtures:
-            self._edges.add_energy(batch.state.dof, energy)
+            self._edges.add_energy(self.step_of(self._edges, *here), energy)
         return energy.numpy()
 
     def penetration(self) -> np.ndarray:

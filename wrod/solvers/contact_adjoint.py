@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from wrod.kernels.contact import edge_adjoint, plane_adjoint, planes, rolling, rolling_adjoint
+from wrod.kernels.contact.law import ContactStep
 from wrod.kernels.contact.shapes import Borne
 from wrod.kernels.stepping.adjoint import EdgeBlock, RollBlock
 from wrod.rods.arrays import filled
@@ -26,6 +27,8 @@ class ContactAdjoint:
 
     Args:
         dynamics: that has taken the steps.
+        step: `wrod.kernels.stepping.trace.OneStep` that is gone through.
+        bristles: what friction remembers in it, as of `wrod.solvers.trace.bristle_arrays`.
         stiffness_of_mass: as of `wrod.solvers.adjoint.StepAdjoint`.
 
     Attributes:
@@ -35,7 +38,9 @@ class ContactAdjoint:
         borne: how multipliers of bodies would move the shapes that they carry.
     """
 
-    def __init__(self, dynamics: Dynamics, stiffness_of_mass: np.ndarray | None):
+    def __init__(
+        self, dynamics: Dynamics, step: Any, bristles: dict, stiffness_of_mass: np.ndarray | None
+    ):
         batch = self._batch = dynamics.batch
         rods, nodes = batch.rod_count, batch.node_count
         self._contact, self._solids = contact_of(dynamics), solids_of(dynamics)
@@ -68,8 +73,20 @@ class ContactAdjoint:
         self._stiffness_share = numbers(stiffness_of_mass)
         burdened = np.full((rods, nodes), self._contact is not None and self._contact.burdened)
         self._burdened = wp.array(burdened, dtype=wp.int32, device=batch.device)
-        if self._solids is not None:
-            self._per_mass = numbers(stiffness_of_mass / self._contact.memory[0].stiffness.numpy())
+        if self._contact is not None:
+            self._per_mass = numbers(stiffness_of_mass / self._contact.model.stiffness.numpy())
+            own = ("active", "span", "dof", "dof_before")
+            known = {
+                "iteration": self._contact.ended,
+                **{name: getattr(step, name) for name in own},
+            }
+            of_edges = {n for n in bristles if n.startswith("edge_")}
+            self._of_nodes = filled(
+                ContactStep(), known | {n: bristles[n] for n in bristles.keys() - of_edges}
+            )
+            self._of_edges = filled(
+                ContactStep(), known | {n.removeprefix("edge_"): bristles[n] for n in of_edges}
+            )
 
     @property
     def carried(self) -> CarriedShapes | None:
@@ -80,8 +97,8 @@ class ContactAdjoint:
         """Their adjoint in steps of these bodies (`BodySteps`)."""
         assert self.carried is not None
         filled(self.borne, {name: wp.zeros_like(self.by_shape.place) for name in Borne.vars})
-        model = self._solids.memory[0]
-        return CarriedAdjoint(self.carried, model, bodies, self.borne, self.by_shape)
+        touched = self._solids.model, self._of_edges
+        return CarriedAdjoint(self.carried, *touched, bodies, self.borne, self.by_shape)
 
     def add(self, step: Any, now: Any, at: Derivatives, matrix: Any) -> None:
         """Add to residual and matrix of a step, and let what is wanted of bristles at its end be
@@ -89,51 +106,28 @@ class ContactAdjoint:
         if self._contact is None:
             return
         batch = self._batch
-        shape = (batch.rod_count, batch.node_count)
-        edges = (batch.rod_count, batch.node_count - 1)
-        model = self._contact.memory[0]
-        batch.launch(
-            planes.contact,
-            shape,
-            [model, step.span, step.active, step.dof, step.dof_before, step.bristle, step.sliding]
-            + [self._contact.ended],
-            [*self._contact.duals, at.gradient, at.hessian],
-        )
+        nodes, derivatives = [self._contact.model, self._of_nodes], [at.gradient, at.hessian]
+        batch.launch_nodes(planes.contact, nodes, derivatives)
         coupling = self.matrix["coupling"]
-        batch.launch(plane_adjoint.want_bristles, shape, [model, step], [now, coupling])
+        batch.launch_nodes(plane_adjoint.want_bristles, nodes, [now, coupling])
         if self._solids is not None:
-            batch.launch(
-                edge_adjoint.want_bristles,
-                edges,
-                [self._solids.memory[0], step],
-                [now, at.gradient, self.matrix["block"]],
-            )
+            outputs = [now, at.gradient, self.matrix["block"]]
+            inputs = [self._solids.model, self._of_edges]
+            batch.launch_edges(edge_adjoint.want_bristles, inputs, outputs)
         if not self._rolls:
             return
-        batch.launch(
-            rolling.hold_roll,
-            shape,
-            [model, step.span, step.active, step.dof, step.dof_before, step.turned],
-            [at.gradient, at.hessian],
-        )
+        batch.launch_nodes(rolling.hold_roll, nodes, derivatives)
         for name in ("roll", "roll_with_next"):
             self.matrix[name].zero_()
-        batch.launch(rolling_adjoint.want_node_rolls, shape, [model, step], [now, matrix])
+        batch.launch_nodes(rolling_adjoint.want_node_rolls, [*nodes, step], [now, matrix])
         if self._solids is not None:
-            batch.launch(
-                rolling_adjoint.want_edge_rolls,
-                edges,
-                [self._solids.memory[0], step],
-                [at.gradient, now, matrix],
-            )
+            outputs = [at.gradient, now, matrix]
+            batch.launch_edges(rolling_adjoint.want_edge_rolls, [*inputs, step], outputs)
 
-    def want_friction(
-        self, step: Any, levels: tuple, x: wp.array, properties: PropertyAdjoint
-    ) -> None:
+    def want_friction(self, levels: tuple, x: wp.array, properties: PropertyAdjoint) -> None:
         """From the solution x of a step to what it began from.
 
         Args:
-            step: that was gone through.
             levels: `Wanted` at its end and at its start.
             x: (rod, 1, dof) the solution.
             properties: of the rods.
@@ -141,22 +135,14 @@ class ContactAdjoint:
         if self._contact is None:
             return
         batch, (now, before) = self._batch, levels
-        shape = (batch.rod_count, batch.node_count)
-        rods = [batch.node_mass, properties.piece, step, now, x]
-        outputs = [before, self.by_friction, properties.model, properties.spins]
-        model = self._contact.memory[0]
-        batch.launch(
-            plane_adjoint.want_friction,
-            shape,
-            [model, self._stiffness_share, self._burdened, *rods],
-            [*outputs, self.by_shape],
-        )
+        rods, nodes = [batch.node_mass, properties.piece], self._of_nodes
+        outputs = [before, self.by_friction, properties.model, properties.spins, self.by_shape]
+        model = self._contact.model
+        inputs = [model, self._stiffness_share, self._burdened, *rods, nodes, now, x]
+        batch.launch_nodes(plane_adjoint.want_friction, inputs, outputs)
         if self._rolls:
-            batch.launch(rolling_adjoint.want_turned_nodes, shape, [model, step, x], [now, before])
+            inputs = [model, nodes, x]
+            batch.launch_nodes(rolling_adjoint.want_turned_nodes, inputs, [now, before])
         if self._solids is not None:
-            batch.launch(
-                edge_adjoint.want_friction,
-                (batch.rod_count, batch.node_count - 1),
-                [self._solids.memory[0], self._per_mass, *rods, self.borne],
-                [*outputs, self.by_shape],
-            )
+            inputs = [self._solids.model, self._per_mass, *rods, self._of_edges, now, x, self.borne]
+            batch.launch_edges(edge_adjoint.want_friction, inputs, outputs)

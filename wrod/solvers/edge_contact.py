@@ -6,11 +6,38 @@ import warp as wp
 from wrod.errors import RodError
 from wrod.kernels.contact import depths, edge_adjoint, energies
 from wrod.kernels.contact import edges as kernels
-from wrod.kernels.contact.law import Touchable
+from wrod.kernels.contact.law import ContactStep, Touchable
+from wrod.rods.arrays import filled
 from wrod.rods.batch import RodBatch
 from wrod.solvers.carried_shapes import CarriedShapes
 
 _EMERGING = 0.01
+
+
+class Bristles:
+    """What friction remembers of nodes or edges that touch shapes.
+
+    Attributes:
+        arrays: (rod, shape, node or edge) each, by the names of
+            `wrod.kernels.contact.law.ContactStep`.
+    """
+
+    def __init__(self, batch: RodBatch, shapes: int, pieces: int):
+        kinds = {
+            "bristle": wp.vec3d, "sliding": wp.int32, "turned": wp.float64, "stretch": wp.vec3d,
+            "dual": wp.vec3d,
+        }  # fmt: skip
+        shape, device = (batch.rod_count, shapes, pieces), batch.device
+        self.arrays = {name: wp.zeros(shape, dtype=kinds[name], device=device) for name in kinds}
+        self._steps: dict[tuple, ContactStep] = {}
+
+    def step(self, **others: wp.array) -> ContactStep:
+        """A step of them, with the other arrays that it has; one for each set of these, since what
+        is recorded may hold it."""
+        key = tuple(array.ptr for array in others.values())
+        if key not in self._steps:
+            self._steps[key] = filled(ContactStep(), self.arrays | others)
+        return self._steps[key]
 
 
 class EdgeContact:
@@ -28,7 +55,7 @@ class EdgeContact:
         push, moment: (rod, shape) force on each shape at the end of the last step, and its moment
             about the origin.
         carried: shapes that move with the rods, or None.
-        duals: as of `Contact`, of edges.
+        model, bristles: as of `Contact`, of edges.
         yields: whether shapes are pressed gently (`yield_to`).
     """
 
@@ -44,7 +71,7 @@ class EdgeContact:
         stiffness = (stiffness[:, 1:] + stiffness[:, :-1]) / 2 * batch.rest_length.numpy()
         mass = batch.node_mass.numpy()
         mass = (mass[:, 1:] + mass[:, :-1]) / 2
-        self._model = model = Touchable()
+        self.model = model = Touchable()
         for name in ("shapes", "static_friction", "kinetic_friction", "roll_friction", "rolling"):
             setattr(model, name, getattr(nodes, name))
         model.field, model.place, model.rest_length = nodes.field, nodes.place, batch.rest_length
@@ -57,40 +84,26 @@ class EdgeContact:
         self._speed = floats(_EMERGING * radius * np.sqrt(stiffness / np.maximum(mass, light)))
         self._hidden = wp.zeros(radius.shape, dtype=wp.float64, device=device)
         table = model.shapes.shape
-        shape = (batch.rod_count, table[1], edges)
-        self.bristle = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        self.sliding = wp.zeros(shape, dtype=wp.int32, device=device)
-        self.duals = tuple(wp.zeros(shape, dtype=wp.vec3d, device=device) for _ in range(2))
+        self.bristles = Bristles(batch, table[1], edges)
         self.push = wp.zeros(table, dtype=wp.vec3d, device=device)
         self.moment = wp.zeros(table, dtype=wp.vec3d, device=device)
-        self.turned = wp.zeros(shape, dtype=wp.float64, device=device)
         self.carried: CarriedShapes | None = None
         self.yields = False
 
-    def _launch(self, kernel, inputs, outputs) -> None:
-        batch = self.batch
-        dim = (batch.rod_count, batch.node_count - 1)
-        batch.launch(kernel, dim, inputs, outputs)
-
-    @property
-    def memory(self) -> tuple:
-        """What edges touch, their bristles (rod, shape, edge), and whether those slid."""
-        return self._model, self.bristle, self.sliding
-
-    def find_unknown(self, chosen, dof, dof_before, touching: wp.array) -> None:
+    def find_unknown(self, step: ContactStep, touching: wp.array) -> None:
         """Raise `touching` (rod,) of the chosen rods that touch what has no adjoint."""
-        inputs = [self._model, self._hidden, chosen, dof, dof_before]
-        self._launch(edge_adjoint.find_unknown, inputs, [touching])
+        inputs = [self.model, self._hidden, step]
+        self.batch.launch_edges(edge_adjoint.find_unknown, inputs, [touching])
 
     def bear(self, burden: np.ndarray) -> None:
         """Let shapes press: see `Contact.bear`."""
         device = self.batch.device
-        self._model.burden = wp.array(burden, dtype=wp.float64, device=device)
+        self.model.burden = wp.array(burden, dtype=wp.float64, device=device)
 
     def yield_to(self, bearer: np.ndarray, firmest: np.ndarray) -> None:
         """Let shapes be pressed gently: `firmest` (rod, shape) is the stiffness that all edges may
         have together on the `bearer` (rod, shape) of a shape [force/length], 0 for any."""
-        model, device = self._model, self.batch.device
+        model, device = self.model, self.batch.device
         if self.yields:
             model.firmest.assign(firmest)
             return
@@ -102,17 +115,17 @@ class EdgeContact:
     def count_near(self, dof: wp.array) -> None:
         """Find out how many edges share that stiffness from now on."""
         if self.yields:
-            self._model.near.zero_()
-            self._launch(depths.count_near, [dof], [self._model])
+            self.model.near.zero_()
+            self.batch.launch_edges(depths.count_near, [dof], [self.model])
 
     @property
     def yielding(self) -> list[wp.array]:
         """What decides how stiff shapes are that are pressed gently: nothing if none is."""
-        return [self._model.firmest, self._model.near] if self.yields else []
+        return [self.model.firmest, self.model.near] if self.yields else []
 
     def bearing(self) -> np.ndarray:
         """See `Contact.bearing`."""
-        m = self._model
+        m = self.model
         if m.burden is None or not m.burden.size:
             return np.zeros(m.shapes.shape)
         return 0.5 * m.burden.numpy() / m.skin.numpy().max(axis=1)[:, None]
@@ -123,60 +136,57 @@ class EdgeContact:
         Raises:
             RodError: rods roll by friction, of which bodies would not get the torque.
         """
-        if self._model.rolling.numpy().any():
+        if self.model.rolling.numpy().any():
             raise RodError("rods on shapes that move with them cannot roll; use rolling=False")
         self.carried = carried
-        self._model.apart = wp.array(apart.astype(np.int8), dtype=wp.int8, device=self.batch.device)
+        self.model.apart = wp.array(apart.astype(np.int8), dtype=wp.int8, device=self.batch.device)
 
-    def add(self, step, active, dof, dof_before: wp.array, iteration: wp.array) -> None:
-        out, old = self.batch.derivatives, [self.bristle, self.sliding, self.turned]
+    def add(self, step: ContactStep) -> None:
+        out = self.batch.derivatives
         if self.carried is not None:
-            self.carried.place(self._model.shapes, active)
-        inputs = [self._model, step, active, dof, dof_before, *old]
-        outputs = [*self.duals, out.gradient, out.hessian]
-        self._launch(kernels.edge_contact, [*inputs, iteration], outputs)
+            self.carried.place(self.model.shapes, step.active)
+        self.batch.launch_edges(
+            kernels.edge_contact, [self.model, step], [out.gradient, out.hessian]
+        )
         if self.carried is not None:
-            self.carried.push(self._model, [*inputs[1:], self.duals[1]])
+            self.carried.push(self.model, step)
 
     def refuse(self, converged: wp.array, dof: wp.array, dof_before: wp.array) -> None:
-        inputs = [self._model, self._hidden, dof, dof_before]
-        self._launch(depths.refuse_tunnelling, inputs, [converged])
+        inputs = [self.model, self._hidden, dof, dof_before]
+        self.batch.launch_edges(depths.refuse_tunnelling, inputs, [converged])
 
     def restart(self, chosen: wp.array, dof: wp.array) -> None:
         """Hide what lies deep inside shapes; it comes out as the chosen rods move on."""
         if self.carried is not None:
-            self.carried.place(self._model.shapes, chosen)
-        self._launch(depths.hide, [chosen, dof], [self._model, self._hidden])
+            self.carried.place(self.model.shapes, chosen)
+        self.batch.launch_edges(depths.hide, [chosen, dof], [self.model, self._hidden])
 
-    def find_touching(self, chosen, dof, dof_before, touching: wp.array) -> None:
+    def find_touching(self, step: ContactStep, touching: wp.array) -> None:
         if self.carried is not None:
-            self.carried.place(self._model.shapes, chosen, at_end=True)
-        inputs = [self._model, chosen, dof, dof_before]
-        self._launch(kernels.find_touching, inputs, [touching])
+            self.carried.place(self.model.shapes, step.active, at_end=True)
+        self.batch.launch_edges(kernels.find_touching, [self.model, step], [touching])
         if self.carried is not None:
-            self.carried.place(self._model.shapes, chosen)
+            self.carried.place(self.model.shapes, step.active)
 
-    def settle(self, step, accepted, dof, dof_before, slip: wp.array, force: wp.array) -> None:
-        inputs = [self._model, step, accepted, dof, dof_before]
+    def settle(self, step: ContactStep, slip: wp.array, force: wp.array) -> None:
         pushes = [self.push, self.moment]
-        self.batch.launch(kernels.clear_pushes, self.push.shape, [accepted], pushes)
-        outputs = [self.bristle, self.sliding, self.turned, slip, force, *pushes]
-        self._launch(kernels.settle_edges, inputs, outputs)
-        self._launch(depths.swell, [self._speed, step, accepted], [self._model, self._hidden])
+        self.batch.launch(kernels.clear_pushes, self.push.shape, [step.active], pushes)
+        self.batch.launch_edges(kernels.settle_edges, [self.model], [step, slip, force, *pushes])
+        inputs = [self._speed, step.span, step.active]
+        self.batch.launch_edges(depths.swell, inputs, [self.model, self._hidden])
 
     def _place_carried(self) -> None:
         """Where bodies are now: a midpoint step leaves shapes halfway."""
         if self.carried is not None:
-            self.carried.place(self._model.shapes, self.batch.every_rod)
+            self.carried.place(self.model.shapes, self.batch.every_rod)
 
-    def add_energy(self, dof: wp.array, energy: wp.array) -> None:
+    def add_energy(self, step: ContactStep, energy: wp.array) -> None:
         self._place_carried()
-        inputs = [self._model, dof, self.bristle, self.turned]
-        self._launch(energies.add_edge_energy, inputs, [energy])
+        self.batch.launch_edges(energies.add_edge_energy, [self.model, step], [energy])
 
     def penetration(self, dof: wp.array) -> np.ndarray:
         """(rod,) deepest penetration into any fixture [length]."""
         self._place_carried()
         depth = wp.zeros(self.batch.rod_count, dtype=wp.float64, device=self.batch.device)
-        self._launch(depths.measure_depth, [self._model, self._hidden, dof], [depth])
+        self.batch.launch_edges(depths.measure_depth, [self.model, self._hidden, dof], [depth])
         return depth.numpy().copy()

@@ -24,7 +24,7 @@ class InternalVariables:
     def begin(self, starting: wp.array, span: wp.array) -> None:
         """The rods that start a step bend for the time `span` (rod,) until forces are taken."""
         if self.batch.inelastic is not None:
-            self._launch(kernels.begin_flow, [starting, span])
+            self.batch.launch_nodes(kernels.begin_flow, [starting, span], [self.batch.inelastic])
 
     def finish(self, accepted: wp.array, step: wp.array) -> None:
         """Carry the state at the end of accepted steps of durations `step` over to the next."""
@@ -32,19 +32,10 @@ class InternalVariables:
         if batch.inelastic is None:
             return
         inputs = [batch.elastic_model, accepted, step, state.dof, state.director]
-        self._launch(kernels.finish_flow, inputs, batch.node_count - 2)
+        batch.launch_inner(kernels.finish_flow, inputs, [batch.inelastic])
 
     def restart(self, chosen: wp.array) -> None:
         """The rods that are not 0 in `chosen` (rod,) have never been elsewhere."""
         if self.batch.inelastic is not None:
-            self._launch(kernels.forget_flow, [chosen])
+            self.batch.launch_nodes(kernels.forget_flow, [chosen], [self.batch.inelastic])
             self.finish(chosen, self._ever)
-
-    def _launch(self, kernel: wp.Kernel, inputs: list, columns: int | None = None) -> None:
-        batch = self.batch
-        batch.launch(
-            kernel,
-            (batch.rod_count, batch.node_count if columns is None else columns),
-            inputs,
-            [batch.inelastic],
-        )

@@ -36,9 +36,8 @@ class InelasticAdjoint:
         return [(k, self.node if n is past else n) for k, n in self._batch.energies]
 
     def _launch(self, kernel, inputs: list, outputs: list) -> None:
-        batch = self._batch
-        shape = batch.rod_count, batch.node_count - 2
-        batch.launch(kernel, shape, [batch.elastic_model, self.node, *inputs], outputs)
+        own = [self._batch.elastic_model, self.node]
+        self._batch.launch_inner(kernel, [*own, *inputs], outputs)
 
     def measure_skew(self, step: Any) -> None:
         """Of the step that was taken up."""

@@ -5,7 +5,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.stepping import dynamics as kernels
-from wrod.kernels.stepping.pace import Pace
+from wrod.kernels.stepping.trace import OneStep
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import cells
 from wrod.rods.state import Derivatives
@@ -31,28 +31,20 @@ def lumped_masses(batch: RodBatch, radius) -> np.ndarray:
     return np.ascontiguousarray(out.reshape(batch.rod_count, -1)[:, :-1])
 
 
-def add_inertia(dynamics, pace: Pace, places: list, speeds: list, out: Derivatives) -> None:
+def add_inertia(dynamics, step: OneStep, out: Derivatives) -> None:
     """What inertia and air add to a step's residual and its matrix.
 
     Args:
         dynamics: what says masses, damping and drag.
-        pace: of the step.
-        places, speeds: degrees of freedom now and at two ends before, and velocities at these.
+        step: `wrod.kernels.stepping.trace.OneStep`.
         out: what is added to.
     """
     batch, into = dynamics.batch, [out.gradient, out.hessian]
-    batch.launch(
-        kernels.add_inertia,
-        (batch.rod_count, batch.dof_count),
-        [dynamics.mass, dynamics.air_damping, pace, *places, *speeds],
-        into,
-    )
+    batch.launch_dofs(kernels.add_inertia, [dynamics.mass, dynamics.air_damping, step], into)
     if dynamics.edge_mass is not None:
-        inputs = [dynamics.edge_mass, pace, *places, *speeds]
-        batch.launch(kernels.add_edge_inertia, dynamics.edge_mass.shape, inputs, into)
+        batch.launch_edges(kernels.add_edge_inertia, [dynamics.edge_mass, step], into)
     if dynamics.drag is not None:
-        shape = batch.rod_count, batch.node_count
-        batch.launch(kernels.add_drag, shape, [dynamics.drag, pace, *places], into)
+        batch.launch_nodes(kernels.add_drag, [dynamics.drag, step], into)
 
 
 def edge_masses(batch: RodBatch) -> np.ndarray:

@@ -164,7 +164,7 @@ class NewtonSteps(Steps):
             + [self.viscosity.stretching_time],
             [self.pace, self.system.negative_pivots],
         )
-        self.viscosity.begin(self.starting, self.coefficient, self.span)
+        self.viscosity.begin(self.pace)
         self.internal.begin(self.starting, self.span)
         if self.rod_contact is not None:
             self.rod_contact.prepare(self.starting, self.start.dof)
@@ -172,10 +172,10 @@ class NewtonSteps(Steps):
             self.motion.prescribe(self.starting, self.time, self.span, self.start)
         if self.bodies is not None:
             self.bodies.begin(self)
-        self._per_dof(
+        batch.launch_dofs(
             kernels.predict,
-            [self.pace, batch.free, self.velocity, self.velocity_older, wp.float64(self._growth)],
-            [batch.state.dof],
+            [self.pace, batch.free, wp.float64(self._growth)],
+            [self.present],
         )
 
     def _iterate(self, largest: float, smallest: float) -> None:
@@ -184,8 +184,7 @@ class NewtonSteps(Steps):
         dof = batch.state.dof
         batch.transport_frames(start, batch.state, self.active)
         batch.evaluate(order=2, active=self.active, model=self.viscosity.model, energy=False)
-        places = [dof, start.dof, self.dof_older]
-        add_inertia(self, self.pace, places, [self.velocity, self.velocity_older], out)
+        add_inertia(self, self.present, out)
         if self.bodies is not None:
             self.bodies.clear_contact()
         for contact in self.contacts:
@@ -204,8 +203,7 @@ class NewtonSteps(Steps):
             end = dof
             if SCHEMES[self._scheme] == "midpoint":
                 end = self._end
-                inputs = [self.converged, self.pace, dof, start.dof]
-                self._per_dof(kernels.extrapolate, inputs, [end])
+                batch.launch_dofs(kernels.extrapolate, [self.converged, self.present], [end])
             for contact in self.contacts:
                 contact.find_touching(self.converged, end, start.dof, self.touching)
         self._judge(largest, smallest)
@@ -244,7 +242,7 @@ class NewtonSteps(Steps):
         batch, start, dof = self.batch, self.start, self.batch.state.dof
         if self.follower is not None:
             self.follower.follow(self)
-        self.viscosity.finish(self.accepted, self.coefficient, self.span, self.step)
+        self.viscosity.finish(self.pace)
         for contact in self.contacts:
             contact.settle(self.accepted, dof, start.dof)
         if self.bodies is not None:
@@ -253,16 +251,16 @@ class NewtonSteps(Steps):
             self._complete()
         self.internal.finish(self.accepted, self.step)
         if frames is not None:
-            self._per_dof(
+            batch.launch_dofs(
                 pace.record_frames,
                 [wp.float64(frame_interval), self.pace, dof, start.dof],
                 [frames],
             )
-        self._per_dof(
+        batch.launch_dofs(
             kernels.shift_history,
-            [self.pace, batch.derivatives.gradient]
-            + [batch.free if self.bodies is None else self.bodies.carried, dof, start.dof],
-            [self.dof_older, self.velocity, self.velocity_older, self.reaction],
+            [self.accepted, batch.derivatives.gradient]
+            + [batch.free if self.bodies is None else self.bodies.carried],
+            [self.present, self.reaction],
         )
         if self.bodies is not None and SCHEMES[self._scheme] == "midpoint":
             # Velocities are of points that went straight on; on a body they turn.
@@ -273,9 +271,9 @@ class NewtonSteps(Steps):
 
     def _complete(self) -> None:
         """Bring accepted steps from where their forces are to their ends."""
-        batch, start, dof = self.batch, self.start, self.batch.state.dof
-        inputs = [self.accepted, self.pace, dof, start.dof]
-        self._per_dof(kernels.extrapolate, inputs, [dof])
+        batch, start = self.batch, self.start
+        inputs = [self.accepted, self.present]
+        batch.launch_dofs(kernels.extrapolate, inputs, [batch.state.dof])
         if self.motion is not None:
             self.motion.prescribe(self.accepted, self.time, self._no_step, start)
         batch.transport_frames(start, batch.state, self.accepted)

@@ -143,8 +143,7 @@ class PairAdjoint:
             team,
         )
         skyline, blocks = self._skyline, [self._lower, self._upper]
-        shape, inputs = (batch.rod_count, batch.node_count), [skyline, batch.free, matrix]
-        batch.launch(fill_coupled, shape, inputs, blocks)
+        batch.launch_nodes(fill_coupled, [skyline, batch.free, matrix], blocks)
         inputs = [skyline.overflow, skyline.rank, skyline.row]
         self._launch(kernels.add_pairs, inputs, blocks)
         batch.launch(skyline_lu.factorise, batch.rod_count, [skyline], blocks)
@@ -173,5 +172,4 @@ class PairAdjoint:
         for name in kernels.WantedLaw.vars:
             getattr(self._law, name).zero_()
         self._launch(kernels.want_pairs_before, [now, self._solution], [before, model, self._law])
-        shape = (self._batch.rod_count, self._batch.node_count)
-        self._batch.launch(kernels.want_law, shape, [self._shares, self._law], [model])
+        self._batch.launch_nodes(kernels.want_law, [self._shares, self._law], [model])

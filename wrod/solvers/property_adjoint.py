@@ -33,16 +33,11 @@ class PropertyAdjoint:
         self._batch, self._dynamics, self._viscous_time = batch, dynamics, viscous_time
         rods, nodes, device = batch.rod_count, batch.node_count, batch.device
         model = self.model = model_adjoint.WantedModel()
-        for name, shape, dtype in (
-            ("rest_length", (rods, nodes - 1), wp.float64), ("radius", (rods, nodes), wp.float64),
-            ("stretching", (rods, nodes - 1), wp.float64), ("bending", (rods, nodes), wp.vec2d),
-            ("natural_curvature", (rods, nodes), wp.vec2d),
-            ("twisting", (rods, nodes), wp.float64), ("natural_twist", (rods, nodes), wp.float64),
-            ("node_mass", (rods, nodes), wp.float64), ("air", (rods, nodes), wp.float64),
-            ("gravity", (rods,), wp.vec3d),
-            ("viscous_time", viscous_time.shape, wp.vec4d),
-        ):  # fmt: skip
-            setattr(model, name, wp.zeros(shape, dtype=dtype, device=device))
+        shapes = dict.fromkeys(("rest_length", "stretching"), (rods, nodes - 1))
+        shapes |= {"gravity": (rods,), "viscous_time": viscous_time.shape}
+        for name, kind in model_adjoint.WantedModel.vars.items():
+            shape = shapes.get(name, (rods, nodes))
+            setattr(model, name, wp.zeros(shape, dtype=kind.type.dtype, device=device))
         if air_of_mass is None:
             air_of_mass = np.repeat(dynamics.air_damping.numpy()[:, None], nodes, axis=1)
         self._air_of_mass = wp.array(air_of_mass, dtype=wp.float64, device=device)
@@ -76,23 +71,16 @@ class PropertyAdjoint:
             levels: `wrod.kernels.stepping.trace.Wanted` at its start, and a step earlier.
         """
         batch = self._batch
-        rods, nodes = batch.rod_count, batch.node_count
         inputs = [batch.elastic_model, self._viscous_time, step, x]
-        for kernel, count in (
-            (model_adjoint.want_stretching, nodes - 1), (model_adjoint.want_bending, nodes - 2),
-        ):  # fmt: skip
-            batch.launch(kernel, (rods, count), inputs, [*levels, self.model])
-        batch.launch(
+        batch.launch_edges(model_adjoint.want_stretching, inputs, [*levels, self.model])
+        batch.launch_inner(model_adjoint.want_bending, inputs, [*levels, self.model])
+        batch.launch_nodes(
             model_adjoint.want_masses,
-            (rods, nodes),
             [self._air_of_mass, self._dynamics.air_damping, self._stillest, self._dynamics.mass]
             + [batch.node_mass, batch.load_factor, gravity, batch.rest_length]
             + [self._spin_share, self.piece, step, x],
             [self.spins, self.model],
         )
-        batch.launch(
-            model_adjoint.share_spins,
-            (rods, nodes),
-            [self._density, self.piece, self.spins],
-            [self.model],
+        batch.launch_nodes(
+            model_adjoint.share_spins, [self._density, self.piece, self.spins], [self.model]
         )

@@ -93,9 +93,8 @@ def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarra
     unit = np.where(bending > 0.0, bending, np.inf).min(axis=1) / length**4
     hessian = batch.evaluate(order=2).hessian
     shifted = wp.clone(hessian)
-    batch.launch(
+    batch.launch_dofs(
         shift_by_mass,
-        mass.shape,
         [batch.every_rod, hessian, wp.array(mass, dtype=wp.float64, device=batch.device)]
         + [wp.array(-neutral * unit, dtype=wp.float64, device=batch.device)],
         [shifted],
@@ -163,9 +162,8 @@ def _shift_below(system, hessian, mass, unit, unstable) -> np.ndarray:
     shifted = wp.clone(hessian)
     for _ in range(_SHIFTS):
         active = wp.array(pending.astype(np.int32), dtype=wp.int32, device=device)
-        batch.launch(
+        batch.launch_dofs(
             shift_by_mass,
-            (batch.rod_count, batch.dof_count),
             [active, hessian, mass, wp.array(shift, dtype=wp.float64, device=device)],
             [shifted],
         )

@@ -174,9 +174,8 @@ class EquilibriumSolver:
         batch = self.batch
         progress = wp.array(progress, dtype=wp.float64, device=batch.device)
         self._copy(self.active, start, batch.state)
-        batch.launch(
+        batch.launch_dofs(
             continuation.interpolate_prescribed,
-            (batch.rod_count, batch.dof_count),
             [self.active, batch.free, begin, target, progress],
             [batch.state.dof],
         )
@@ -288,9 +287,8 @@ class EquilibriumSolver:
     def _take(self, chosen: wp.array) -> None:
         """The trial state: a fraction of the step on."""
         batch, trial = self.batch, self.trial
-        batch.launch(
+        batch.launch_dofs(
             newton.take_trial_step,
-            (batch.rod_count, batch.dof_count),
             [chosen, batch.state.dof, self.system.x, self.fraction],
             [trial.dof],
         )

@@ -10,6 +10,8 @@ from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.lanes import WARP
 from wrod.kernels.stepping.pace import Pace
+from wrod.kernels.stepping.trace import OneStep
+from wrod.rods.arrays import filled
 from wrod.rods.batch import RodBatch
 from wrod.rods.device import OnDevice
 from wrod.rods.state import RodState, node_positions
@@ -59,6 +61,8 @@ class Steps(OnDevice):
         start: configurations at the start of the step.
         velocity, velocity_older, dof_older: (rod, dof) of the last steps.
         pace: all that is (rod,) above, for kernels.
+        present: the present step, for kernels, without what is viscous or touches
+            (`wrod.kernels.stepping.trace.OneStep`).
         taken: (rod,) part of the last Newton step that was taken.
         reaction: (rod, dof) forces that held prescribed degrees of freedom at the end of the last
             step.
@@ -94,9 +98,7 @@ class Steps(OnDevice):
         self.running, self.starting, self.active, self.converged = (ints() for _ in range(4))
         self.iteration, self.iteration_count = ints(), ints()
         self.accepted, self.rejected, self.diverged, self.step_count = (ints() for _ in range(4))
-        self.pace = Pace()
-        for name in Pace.vars:
-            setattr(self.pace, name, getattr(self, name))
+        self.pace = filled(Pace(), {name: getattr(self, name) for name in Pace.vars})
         shape = (rods, batch.dof_count)
         self.velocity, self.velocity_older = (
             wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(2)
@@ -104,6 +106,19 @@ class Steps(OnDevice):
         self.dof_older = wp.clone(batch.state.dof)
         self._end = wp.clone(batch.state.dof)
         self.reaction = wp.zeros(shape, dtype=wp.float64, device=device)
+        state, start = batch.state, self.start
+        self.present = filled(
+            OneStep(),
+            {
+                "active": self.active, "coefficient": self.coefficient, "span": self.span,
+                "whole": self.step, "time": self.time, "until": self.until, "dof": state.dof,
+                "tangent": state.tangent, "director": state.director,
+                "twist": state.reference_twist, "dof_before": start.dof,
+                "tangent_before": start.tangent, "director_before": start.director,
+                "dof_older": self.dof_older, "velocity": self.velocity,
+                "velocity_older": self.velocity_older,
+            },
+        )  # fmt: skip
 
     @arguments.checked(RodError, velocity=arguments.numbers_of_any_shape)
     def set_velocity(self, velocity: np.ndarray) -> None:
@@ -122,10 +137,6 @@ class Steps(OnDevice):
 
     def _per_rod(self, kernel, inputs, outputs=()) -> None:
         self.batch.launch(kernel, self.batch.rod_count, inputs, outputs, WARP)
-
-    def _per_dof(self, kernel, inputs, outputs=()) -> None:
-        batch = self.batch
-        batch.launch(kernel, (batch.rod_count, batch.dof_count), inputs, outputs)
 
 
 def unit_pace(batch: RodBatch, *coefficient: float) -> Pace:

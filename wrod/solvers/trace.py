@@ -34,51 +34,37 @@ def solids_of(dynamics: NewtonSteps) -> EdgeContact | None:
     return None if touched is None else touched.solids
 
 
-def _memory(touched: Contact | EdgeContact | None) -> tuple[int, ...]:
-    """(shape, node or edge) that friction remembers."""
-    return (0, 0) if touched is None else touched.memory[1].shape[1:]
-
-
-def _turned(dynamics: Dynamics) -> dict[str, wp.array]:
-    """How far bristles are turned that keep the roll, if any does."""
+def bristle_arrays(dynamics: Dynamics) -> dict[str, wp.array]:
+    """What friction with shapes remembers, of nodes and ("edge_...") edges: bristles, whether they
+    slid, and how far they are turned if they keep the roll."""
     touched, solids = contact_of(dynamics), solids_of(dynamics)
-    out = {}
-    if touched is not None and touched.holds_roll:
-        out["turned"] = touched.turned
-        if solids is not None:
-            out["edge_turned"] = solids.turned
-    return out
+    names = ["bristle", "sliding"]
+    names += ["turned"] if touched is not None and touched.holds_roll else []
+    return {
+        f"{prefix}{name}": contact.bristles.arrays[name]
+        for prefix, contact in (("", touched), ("edge_", solids))
+        if contact is not None
+        for name in names
+    }
 
 
 def step_arrays(dynamics: Dynamics) -> dict[str, wp.array]:
     """What the step is made of that `dynamics` takes now, by the names of `kernels.OneStep`."""
-    state, start, viscosity = dynamics.batch.state, dynamics.start, dynamics.viscosity
-    out = {
-        "coefficient": dynamics.coefficient, "span": dynamics.span, "whole": dynamics.step,
-        "time": dynamics.time, "until": dynamics.until,
-        "dof": state.dof, "tangent": state.tangent, "director": state.director,
-        "twist": state.reference_twist, "dof_before": start.dof,
-        "tangent_before": start.tangent, "director_before": start.director,
-        "dof_older": dynamics.dof_older, "velocity": dynamics.velocity,
-        "velocity_older": dynamics.velocity_older,
-    }  # fmt: skip
+    viscosity, present = dynamics.viscosity, dynamics.present
+    arrays = {n: getattr(present, n) for n in kernels.OneStep.vars if n != "active"}
+    out = {name: array for name, array in arrays.items() if array is not None}
     if viscosity.exists:
         out |= {"strain": viscosity.strain, "strain_older": viscosity.strain_older}
-    touched = contact_of(dynamics)
-    if touched is not None:
-        _, out["bristle"], out["sliding"] = touched.memory
-    solids = solids_of(dynamics)
-    if solids is not None:
-        _, out["edge_bristle"], out["edge_sliding"] = solids.memory
     if dynamics.rod_contact is not None:
         out |= dynamics.rod_contact.kept.arrays()
-    return out | _turned(dynamics)
+    return out
 
 
 def beside_rods(dynamics: Dynamics) -> list[wp.array]:
-    """What it is made of besides: bodies, by the names of `BodySteps`, and what nodes remember."""
+    """What it is made of besides: bristles, bodies, by the names of `BodySteps`, and what nodes
+    remember."""
     bodies, past = dynamics.bodies, dynamics.batch.inelastic
-    out = [] if bodies is None else body_steps(bodies)
+    out = [*bristle_arrays(dynamics).values(), *([] if bodies is None else body_steps(bodies))]
     return out if past is None else [*out, past]
 
 
@@ -119,11 +105,10 @@ def make_wanted(dynamics: Dynamics) -> Any:
     out = kernels.Wanted()
     out.dof, out.velocity, out.turn = (zeros(n) for n in (*[batch.dof_count] * 2, nodes - 1))
     out.strain = zeros(nodes if dynamics.viscosity.exists else 0, dtype=wp.vec4d)
-    out.bristle = zeros(*_memory(contact_of(dynamics)), dtype=wp.vec3d)
-    out.edge_bristle = zeros(*_memory(solids_of(dynamics)), dtype=wp.vec3d)
-    for name in ("turned", "edge_turned"):
-        array = _turned(dynamics).get(name)
-        setattr(out, name, zeros(0, 0) if array is None else zeros(*array.shape[1:]))
+    known = bristle_arrays(dynamics)
+    for name in ("bristle", "edge_bristle", "turned", "edge_turned"):
+        shape = known[name].shape[1:] if name in known else (0, 0)
+        setattr(out, name, zeros(*shape, dtype=wp.float64 if "turned" in name else wp.vec3d))
     out.lagging = zeros(0 if batch.inelastic is None else nodes, dtype=wp.vec2d)
     contact = dynamics.rod_contact
     pairs = (0, 0) if contact is None else contact.kept.partner.shape[1:]
@@ -181,19 +166,17 @@ class Trace:
     def follow(self, dynamics: NewtonSteps) -> None:
         """Keep the accepted steps."""
         batch, accepted = self.batch, dynamics.accepted
-        touched = [accepted, batch.state.dof, dynamics.start.dof, self._touched]
+        ends = accepted, batch.state.dof, dynamics.start.dof
         for contact in self._others:
-            contact.find_unknown(*touched)
+            contact.find_unknown(*ends, self._touched)
         for contact in self._remembering:
             contact.keep(accepted, self.count)
+        contact = self._contact
         if self._solids is not None:
-            self._solids.find_unknown(*touched)
-        if self._contact is not None:
-            shape = (batch.rod_count, batch.node_count)
-            batch.launch(
-                plane_adjoint.find_unknown, shape, [self._contact.memory[0], *touched[:3]],
-                touched[3:],
-            )  # fmt: skip
+            self._solids.find_unknown(contact.step_of(self._solids, *ends), self._touched)
+        if contact is not None:
+            inputs = [contact.model, contact.step_of(contact, *ends)]
+            batch.launch_nodes(plane_adjoint.find_unknown, inputs, [self._touched])
         self._parts.launch(
             kernels.keep_step, [accepted, self.count, self._parts.part], [self._kept]
         )

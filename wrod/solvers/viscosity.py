@@ -7,6 +7,7 @@ from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.stepping import viscosity as kernels
+from wrod.kernels.stepping.pace import Pace
 from wrod.rods.arrays import filled
 from wrod.rods.batch import RodBatch
 
@@ -101,56 +102,40 @@ class Viscosity:
         if self.relaxes:
             self._measure(chosen)
             inputs = [chosen, self.strain]
-            self._launch(kernels.shift_strains, self.batch.node_count, inputs, [self.strain_older])
+            self.batch.launch_nodes(kernels.shift_strains, inputs, [self.strain_older])
 
     def _measure(self, chosen: wp.array) -> None:
-        s, nodes = self.batch.state, self.batch.node_count
+        s = self.batch.state
         places = [chosen, s.dof, s.director, s.reference_twist]
-        self._launch(kernels.measure_strains, nodes, places, [self.strain])
+        self.batch.launch_nodes(kernels.measure_strains, places, [self.strain])
 
-    def _launch(self, kernel, columns: int, inputs: list, outputs: list) -> None:
-        batch = self.batch
-        dim = (batch.rod_count, columns)
-        batch.launch(kernel, dim, inputs, outputs)
-
-    def begin(self, starting: wp.array, coefficient: wp.array, step: wp.array) -> None:
+    def begin(self, pace: Pace) -> None:
         """Let the rest shape of the rods that start a step flow as their history says."""
         if not self.exists:
             return
         if not self.relaxes:
-            self._measure(starting)
-        self.flow(starting, coefficient, step, self.strain, self.strain_older)
+            self._measure(pace.starting)
+        self.flow(pace, self.strain, self.strain_older)
 
-    def flow(
-        self,
-        starting: wp.array,
-        coefficient: wp.array,
-        step: wp.array,
-        strain: wp.array,
-        strain_older: wp.array,
-    ) -> None:
+    def flow(self, pace: Pace, strain: wp.array, strain_older: wp.array) -> None:
         """The same for a history of strains (rod, node)."""
         if not self.exists:
             return
-        nodes = self.batch.node_count
-        model = [self.batch.elastic_model, self.time]
-        past = [starting, coefficient, step, strain, strain_older]
-        self._launch(kernels.flow_stretching, nodes - 1, [*model, *past], [self.model])
-        inputs = [*model, self.relaxation, *past]
-        self._launch(kernels.flow_bending, nodes - 2, inputs, [self.model])
+        batch, model = self.batch, [self.batch.elastic_model, self.time]
+        past = [pace, strain, strain_older]
+        batch.launch_edges(kernels.flow_stretching, [*model, *past], [self.model])
+        batch.launch_inner(kernels.flow_bending, [*model, self.relaxation, *past], [self.model])
 
-    def finish(
-        self, accepted: wp.array, coefficient: wp.array, step: wp.array, whole: wp.array
-    ) -> None:
-        """Carry the strains of accepted steps over to the next. Forces are those of the end of
-        `step`, which midpoint steps go on from to `whole`."""
+    def finish(self, pace: Pace) -> None:
+        """Carry the strains of accepted steps over to the next, from where forces are taken, which
+        midpoint steps go on from."""
         if not self.exists:
             return
-        s, nodes = self.batch.state, self.batch.node_count
+        batch, s = self.batch, self.batch.state
         if self.relaxes:
-            inputs = [accepted, coefficient, step, whole, self.relaxation]
-            inputs += [s.dof, s.director, s.reference_twist]
-            self._launch(kernels.relax_strains, nodes, inputs, [self.strain, self.strain_older])
+            inputs = [pace, self.relaxation, s.dof, s.director, s.reference_twist]
+            batch.launch_nodes(kernels.relax_strains, inputs, [self.strain, self.strain_older])
         else:
-            inputs = [accepted, self.strain]
-            self._launch(kernels.shift_strains, nodes, inputs, [self.strain_older])
+            batch.launch_nodes(
+                kernels.shift_strains, [pace.accepted, self.strain], [self.strain_older]
+            )
