@@ -8,7 +8,6 @@ would that moves by -u; one that turns by w, what one does that turns by -w, and
 
 import warp as wp
 from wrod.kernels.contact.closest import SMOOTHING, is_fixture
-from wrod.kernels.contact.edge_rolling import edge_rolled, follow_turn
 from wrod.kernels.contact.edges import EdgeTouch, edge_relaxation, edge_touch, is_burdened, is_late
 from wrod.kernels.contact.gap import Gap
 from wrod.kernels.contact.law import (
@@ -18,7 +17,7 @@ from wrod.kernels.contact.law import (
     damped_force,
     return_mapping,
 )
-from wrod.kernels.contact.rolling import by_logarithms
+from wrod.kernels.contact.rolling import by_logarithms, edge_rolled, follow_turn
 from wrod.kernels.contact.shapes import WITH_RODS, Borne, Shape, beside, shape_displacement
 from wrod.kernels.elastic.assembly import add_vector
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node

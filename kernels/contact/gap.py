@@ -255,11 +255,7 @@ def touched_parts(
     far = wp.vec3d(reach, reach, reach)
     low = wp.min(q, q + e) - far
     high = wp.max(q, q + e) + far
-    query = wp.mesh_query_aabb(
-        shape.mesh,
-        wp.vec3(float(low[0]), float(low[1]), float(low[2])),
-        wp.vec3(float(high[0]), float(high[1]), float(high[2])),
-    )
+    query = wp.mesh_query_aabb(shape.mesh, wp.vec3(low), wp.vec3(high))
     sums = Sums()
     face = int(0)
     while wp.mesh_query_aabb_next(query, face):

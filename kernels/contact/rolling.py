@@ -11,8 +11,9 @@ along a shape, is held by the friction of its nodes.
 import warp as wp
 from wrod.kernels.contact.law import ContactStep, Touchable, present_force
 from wrod.kernels.contact.planes import mean_angle, touch
+from wrod.kernels.contact.shapes import Shape, shape_turn
 from wrod.kernels.elastic.assembly import add_component, add_entry
-from wrod.kernels.elastic.frames import HALF, ONE, ZERO
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
 
 wp.set_module_options({"enable_backward": False})
 
@@ -60,6 +61,47 @@ def by_logarithms(h: Rolled, by_step: wp.float64, by_end: wp.float64) -> wp.vec2
     if h.per_coefficient == ZERO:
         return wp.vec2d(h.torque * by_step, wp.float64(2.0) * h.torque * by_step)
     return wp.vec2d(-h.torque * by_end, h.torque * (by_step - by_end))
+
+
+@wp.func
+def edge_rolled(
+    m: Touchable,
+    step: ContactStep,
+    stiffness: wp.float64,
+    force: wp.float64,
+    r: int,
+    k: int,
+    i: int,
+) -> Rolled:
+    turn = step.turned[r, k, i] + step.dof[r, 4 * i + 3] - step.dof_before[r, 4 * i + 3]
+    turn -= shape_turn(m.shapes[r, k], wp.normalize(edge(step.dof, r, i)))
+    return rolled(turn, stiffness, wp.abs(m.radius[r, i]), m.roll_friction[r, k], force)
+
+
+@wp.struct
+class ShapeTurned:
+    """How the turn of a shape about an edge follows the edge, and rotations of the shape now and at
+    the start of the step."""
+
+    by_edge: wp.vec3d
+    now: wp.vec3d
+    at_start: wp.vec3d
+
+
+@wp.func
+def follow_turn(shape: Shape, e: wp.vec3d) -> ShapeTurned:
+    """Of `shape_turn`."""
+    d = shape.rotation * wp.quat_inverse(shape.rotation_before)
+    sign = wp.where(d[3] < wp.float64(0.0), -ONE, ONE)
+    v = sign * wp.vec3d(d[0], d[1], d[2])
+    w = sign * d[3]
+    length = wp.length(e)
+    t = e / length
+    out = ShapeTurned()
+    out.by_edge = (TWO / length) * (v - wp.dot(v, t) * t)
+    out.now = w * t + wp.cross(v, t)
+    out.at_start = wp.cross(v, t) - w * t
+    return out
 
 
 @wp.func

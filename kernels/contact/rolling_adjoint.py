@@ -8,11 +8,10 @@ edges' inertia is, and a bristle that slides turns by the normal force.
 
 import warp as wp
 from wrod.kernels.contact.edge_adjoint import follow, hold
-from wrod.kernels.contact.edge_rolling import edge_rolled, follow_turn
 from wrod.kernels.contact.edges import edge_touch
 from wrod.kernels.contact.law import ContactStep, Touchable, present_force
 from wrod.kernels.contact.planes import PLANE, touch
-from wrod.kernels.contact.rolling import Rolled, node_turn, rolled
+from wrod.kernels.contact.rolling import Rolled, edge_rolled, follow_turn, node_turn, rolled
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import RollBlock, StepMatrix

@@ -249,8 +249,7 @@ def ellipsoid_surface(p: wp.vec3d, a: wp.vec3d) -> Surface:
 
 @wp.func
 def mesh_corner(mesh: wp.uint64, face: int, k: int) -> wp.vec3d:
-    p = wp.mesh_get_point(mesh, 3 * face + k)
-    return wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
+    return wp.vec3d(wp.mesh_get_point(mesh, 3 * face + k))
 
 
 @wp.func
@@ -317,9 +316,8 @@ def triangle_surface(
 @wp.func
 def mesh_surface(p: wp.vec3d, mesh: wp.uint64, size: wp.float64) -> Surface:
     s = Surface()
-    q = wp.mesh_query_point_sign_normal(
-        mesh, wp.vec3(float(p[0]), float(p[1]), float(p[2])), float(wp.float64(4.0) * size)
-    )
+    reach = float(wp.float64(4.0) * size)
+    q = wp.mesh_query_point_sign_normal(mesh, wp.vec3(p), reach)
     if not q.result:
         s.distance = wp.length(p)
         s.normal = wp.vec3d(ZERO, ZERO, ONE)
@@ -330,9 +328,7 @@ def mesh_surface(p: wp.vec3d, mesh: wp.uint64, size: wp.float64) -> Surface:
     side = wp.float64(1.0)
     if q.sign < 0.0:
         # Behind its nearest triangle; what a surface does not enclose is outside.
-        around = wp.mesh_query_point_sign_winding_number(
-            mesh, wp.vec3(float(p[0]), float(p[1]), float(p[2])), float(wp.float64(4.0) * size)
-        )
+        around = wp.mesh_query_point_sign_winding_number(mesh, wp.vec3(p), reach)
         side = wp.where(around.sign < 0.0, -ONE, ZERO)
     return triangle_surface(p, a, b, c, side, size)
 

@@ -169,11 +169,6 @@ def turning_rate(theta: wp.vec3d) -> wp.mat33d:
     return wp.identity(3, dtype=wp.float64) + HALF * cross + (cross * cross) / wp.float64(12.0)
 
 
-@wp.func
-def held_force(gradient: wp.array2d(dtype=wp.float64), r: int, i: int) -> wp.vec3d:
-    return wp.vec3d(gradient[r, 4 * i], gradient[r, 4 * i + 1], gradient[r, 4 * i + 2])
-
-
 @wp.kernel
 def body_balance(
     # Model:
@@ -225,7 +220,7 @@ def body_balance(
             for n in range(h.kind):
                 i = wp.where(n == 0, h.node, h.other)
                 arm = node(dof, r, i) - x
-                g = held_force(gradient, r, i)
+                g = node(gradient, r, i)
                 f = f + g
                 t = t + wp.cross(arm, g)
                 # A force that does not turn with the body turns it back or on.

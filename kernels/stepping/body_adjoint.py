@@ -20,7 +20,6 @@ from wrod.kernels.stepping.adjoint import StepMatrix, entry
 from wrod.kernels.stepping.bodies import (
     Body,
     Hold,
-    held_force,
     inertia_of,
     tangent_of,
     turn_to,
@@ -147,7 +146,7 @@ def balance_wanted(
             for n in range(h.kind):
                 i = wp.where(n == 0, h.node, h.other)
                 arm = node(at.dof, r, i) - place
-                g = held_force(gradient, r, i)
+                g = node(gradient, r, i)
                 d = d + wp.outer(arm, g) - wp.dot(arm, g) * wp.identity(3, dtype=wp.float64)
             if h.kind == 2:
                 d = d - HALF * gradient[r, 4 * h.edge + 3] * wp.skew(tangent_of(h, step.turn[r, s]))

@@ -9,15 +9,8 @@ import warp as wp
 from wrod.kernels.contact.law import IMPACT_WAY, damped_force, note_touch, return_mapping
 from wrod.kernels.elastic.frames import ZERO
 from wrod.kernels.stepping.bodies import Body, BodyMotion
-from wrod.kernels.stepping.body_exchange import wide
-from wrod.kernels.stepping.body_meetings import (
-    Meeting,
-    from_pose,
-    pose_in_row,
-    pose_of,
-    where_met,
-)
-from wrod.kernels.stepping.carrying import Pose
+from wrod.kernels.stepping.body_meetings import Meeting, pose_in_row, pose_of, where_met
+from wrod.kernels.stepping.carrying import Pose, from_pose
 
 wp.set_module_options({"enable_backward": False})
 
@@ -295,6 +288,6 @@ def measure_presses(
     m = meeting[i]
     if m.row < 0 or m.other >= 0 or m.body < 0:
         return
-    centre = from_pose(pose_of(body_q, m.body), wide(body_com[m.body]))
+    centre = from_pose(pose_of(body_q, m.body), wp.vec3d(body_com[m.body]))
     wp.atomic_add(force, m.body, force_in[i])
     wp.atomic_add(torque, m.body, wp.cross(place[i] - centre, force_in[i]))

@@ -3,6 +3,7 @@
 import warp as wp
 from wrod.kernels.elastic.frames import ZERO, node
 from wrod.kernels.stepping.bodies import Body, BodyMotion, Hold, inertia_of, spin_of, tangent_of
+from wrod.kernels.stepping.carrying import as_pose, from_pose
 
 wp.set_module_options({"enable_backward": False})
 
@@ -64,16 +65,6 @@ def find_moved_bodies(
             changed_out[r] = 1
 
 
-@wp.func
-def wide(v: wp.vec3) -> wp.vec3d:
-    return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
-
-
-@wp.func
-def narrow(v: wp.vec3d) -> wp.vec3:
-    return wp.vec3(float(v[0]), float(v[1]), float(v[2]))
-
-
 @wp.kernel
 def read_bodies(
     # Model:
@@ -94,22 +85,19 @@ def read_bodies(
     b = body[r, s]
     if b.mass == ZERO:
         return
-    force_out[r, s] = wide(wp.spatial_top(body_f[b.index]))
-    torque_out[r, s] = wide(wp.spatial_bottom(body_f[b.index]))
+    force_out[r, s] = wp.vec3d(wp.spatial_top(body_f[b.index]))
+    torque_out[r, s] = wp.vec3d(wp.spatial_bottom(body_f[b.index]))
     if chosen[r] == 0:
         return
-    pose = body_q[b.index]
-    q = wp.transform_get_rotation(pose)
-    turn = wp.normalize(
-        wp.quatd(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]), wp.float64(q[3]))
-    )
-    place = wide(wp.transform_get_translation(pose)) + wp.quat_rotate(turn, b.centre)
+    pose = as_pose(body_q[b.index])
+    turn = pose.rotation
+    place = from_pose(pose, b.centre)
     now.place[r, s] = place
     now.turn[r, s] = turn
     before.place[r, s] = place
     before.turn[r, s] = turn
-    before.velocity[r, s] = wide(wp.spatial_top(body_qd[b.index]))
-    before.momentum[r, s] = inertia_of(b, turn) * wide(wp.spatial_bottom(body_qd[b.index]))
+    before.velocity[r, s] = wp.vec3d(wp.spatial_top(body_qd[b.index]))
+    before.momentum[r, s] = inertia_of(b, turn) * wp.vec3d(wp.spatial_bottom(body_qd[b.index]))
 
 
 @wp.kernel
@@ -132,9 +120,9 @@ def write_bodies(
         return
     q = now.turn[r, s]
     origin = now.place[r, s] - wp.quat_rotate(q, b.centre)
-    pose = wp.transform(narrow(origin), wp.quat(float(q[0]), float(q[1]), float(q[2]), float(q[3])))
-    v = narrow(before.velocity[r, s])
-    w = narrow(spin_of(b, q, before.momentum[r, s]))
+    pose = wp.transform(wp.vec3(origin), wp.quat(q))
+    v = wp.vec3(before.velocity[r, s])
+    w = wp.vec3(spin_of(b, q, before.momentum[r, s]))
     speed = wp.spatial_vector(v[0], v[1], v[2], w[0], w[1], w[2])
     body_q_out[b.index] = pose
     body_qd_out[b.index] = speed

@@ -3,7 +3,7 @@
 
 import warp as wp
 from wrod.kernels.elastic.frames import TWO, ZERO, node
-from wrod.kernels.stepping.bodies import Body, Hold, held_force, inertia_of, spin_of, tangent_of
+from wrod.kernels.stepping.bodies import Body, Hold, inertia_of, spin_of, tangent_of
 from wrod.kernels.stepping.body_adjoint import BodySteps, WantedBodies, part
 from wrod.kernels.stepping.exchange import OutsideNode
 from wrod.kernels.stepping.exchange_adjoint import by_turn
@@ -33,8 +33,8 @@ def want_reach(
         return
     t = tangent_of(h, step.turn[r, h.slot])
     turn = part(multiplier, r, 6 * h.slot + 3)
-    moment = wp.cross(t, held_force(gradient, r, h.other))
-    value = wp.dot(held_force(held, r, h.other), t) - wp.dot(turn, moment)
+    moment = wp.cross(t, node(gradient, r, h.other))
+    value = wp.dot(node(held, r, h.other), t) - wp.dot(turn, moment)
     wp.atomic_add(by_rest_length, r, h.edge, wp.float64(place[r, h.other].ghost) * value)
 
 

@@ -8,8 +8,7 @@ to the second; the first one moves with rods.
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.stepping.bodies import Body, BodyMotion
-from wrod.kernels.stepping.body_exchange import wide
-from wrod.kernels.stepping.carrying import Pose, as_pose, on_the_way
+from wrod.kernels.stepping.carrying import Pose, as_pose, from_pose, on_the_way
 
 wp.set_module_options({"enable_backward": False})
 
@@ -92,11 +91,6 @@ def pose_in_row(body: wp.array2d(dtype=Body), x: BodyMotion, r: int, s: int) -> 
 
 
 @wp.func
-def from_pose(x: Pose, p: wp.vec3d) -> wp.vec3d:
-    return x.position + wp.quat_rotate(x.rotation, p)
-
-
-@wp.func
 def into_pose(x: Pose, p: wp.vec3d) -> wp.vec3d:
     return wp.quat_rotate_inv(x.rotation, p - x.position)
 
@@ -145,17 +139,17 @@ def read_contacts(
         return
     shape = detected.shape0[i]
     there = detected.shape1[i]
-    point = wide(detected.point0[i])
-    point_there = wide(detected.point1[i])
+    point = wp.vec3d(detected.point0[i])
+    point_there = wp.vec3d(detected.point1[i])
     reach = wp.float64(detected.margin0[i])
     reach_there = wp.float64(detected.margin1[i])
-    normal = wp.normalize(wide(detected.normal[i]))
+    normal = wp.normalize(wp.vec3d(detected.normal[i]))
     body = entry(detected.shape_body, shape)
     if entry(owned.slot, body) < 0:
         shape = detected.shape1[i]
         there = detected.shape0[i]
-        point = wide(detected.point1[i])
-        point_there = wide(detected.point0[i])
+        point = wp.vec3d(detected.point1[i])
+        point_there = wp.vec3d(detected.point0[i])
         reach = wp.float64(detected.margin1[i])
         reach_there = wp.float64(detected.margin0[i])
         normal = -normal

@@ -44,14 +44,15 @@ class Pose:
 
 @wp.func
 def as_pose(x: wp.transform) -> Pose:
-    p = wp.transform_get_translation(x)
-    q = wp.transform_get_rotation(x)
     out = Pose()
-    out.position = wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
-    out.rotation = wp.normalize(
-        wp.quatd(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]), wp.float64(q[3]))
-    )
+    out.position = wp.vec3d(wp.transform_get_translation(x))
+    out.rotation = wp.normalize(wp.quatd(wp.transform_get_rotation(x)))
     return out
+
+
+@wp.func
+def from_pose(x: Pose, p: wp.vec3d) -> wp.vec3d:
+    return x.position + wp.quat_rotate(x.rotation, p)
 
 
 @wp.func
@@ -103,9 +104,9 @@ def carry_shapes(
     end = on_the_way(before, after, left)
     out = shape_out[r, k]
     out.moves = BY_OTHERS
-    out.position_before = start.position + wp.quat_rotate(start.rotation, place[r, k])
+    out.position_before = from_pose(start, place[r, k])
     out.rotation_before = start.rotation * turn[r, k]
-    out.position = end.position + wp.quat_rotate(end.rotation, place[r, k])
+    out.position = from_pose(end, place[r, k])
     out.rotation = end.rotation * turn[r, k]
     shape_out[r, k] = out
 
@@ -138,7 +139,7 @@ def carry_held(
     turn = h.rotation
     if h.body >= 0:
         body = as_pose(body_q[h.body])
-        place = body.position + wp.quat_rotate(body.rotation, h.position)
+        place = from_pose(body, h.position)
         turn = body.rotation * h.rotation
     left = wp.clamp((until[r] - time[r] - step[r]) / duration, ZERO, ONE)
     place = place - left * (place - position_before[r, k])
@@ -179,16 +180,12 @@ def measure_loads(
     h = hold[r, k]
     if h.kind == 0 or h.slot >= 0 or h.body < 0:
         return
-    pose = as_pose(body_q[h.body])
-    com = body_com[h.body]
-    centre = wp.vec3d(wp.float64(com[0]), wp.float64(com[1]), wp.float64(com[2]))
-    centre = pose.position + wp.quat_rotate(pose.rotation, centre)
+    centre = from_pose(as_pose(body_q[h.body]), wp.vec3d(body_com[h.body]))
     f = wp.vec3d(ZERO, ZERO, ZERO)
     t = wp.vec3d(ZERO, ZERO, ZERO)
     for n in range(h.kind):
         i = wp.where(n == 0, h.node, h.other)
-        a = 4 * i
-        g = wp.vec3d(reaction[r, a], reaction[r, a + 1], reaction[r, a + 2])
+        g = node(reaction, r, i)
         f = f - g
         t = t - wp.cross(node(dof, r, i) - centre, g)
     if h.kind == 2:
@@ -215,10 +212,7 @@ def measure_pushes(
     body = carrier[r, k]
     if body < 0:
         return
-    pose = as_pose(body_q[body])
-    com = body_com[body]
-    centre = wp.vec3d(wp.float64(com[0]), wp.float64(com[1]), wp.float64(com[2]))
-    centre = pose.position + wp.quat_rotate(pose.rotation, centre)
+    centre = from_pose(as_pose(body_q[body]), wp.vec3d(body_com[body]))
     wp.atomic_add(force, body, push[r, k])
     wp.atomic_add(torque, body, moment[r, k] - wp.cross(centre, push[r, k]))
 

@@ -14,6 +14,8 @@ its axis turns are left out, as in Bergou et al. 2008: they are smaller than the
 nodes by the square of radius over length.
 """
 
+from typing import Any
+
 import warp as wp
 from wrod.kernels.elastic.assembly import add_diagonal_block, add_vector
 from wrod.kernels.elastic.frames import TWO, ZERO, node
@@ -45,9 +47,7 @@ def predict(
 
 
 @wp.func
-def difference(
-    coefficient: wp.vec3d, dt: wp.float64, now: wp.float64, before: wp.float64, older: wp.float64
-) -> wp.float64:
+def difference(coefficient: wp.vec3d, dt: wp.float64, now: Any, before: Any, older: Any):
     return (coefficient[0] * now + coefficient[1] * before + coefficient[2] * older) / dt
 
 
@@ -115,18 +115,11 @@ def add_edge_inertia(
 
 
 @wp.func
-def rate(
-    coefficient: wp.vec3d, dt: wp.float64, now: wp.vec3d, before: wp.vec3d, older: wp.vec3d
-) -> wp.vec3d:
-    return (coefficient[0] * now + coefficient[1] * before + coefficient[2] * older) / dt
-
-
-@wp.func
 def velocity_of(step: OneStep, r: int, i: int) -> wp.vec3d:
     """Of node i, where forces are taken."""
     now = node(step.dof, r, i)
     before = node(step.dof_before, r, i)
-    return rate(step.coefficient[r], step.span[r], now, before, node(step.dof_older, r, i))
+    return difference(step.coefficient[r], step.span[r], now, before, node(step.dof_older, r, i))
 
 
 @wp.func

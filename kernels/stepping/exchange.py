@@ -163,8 +163,8 @@ def pull_of(
     out = wp.vec3d()
     if body >= 0:
         w = body_f[body]
-        force = wp.vec3d(wp.float64(w[0]), wp.float64(w[1]), wp.float64(w[2]))
-        torque = wp.vec3d(wp.float64(w[3]), wp.float64(w[4]), wp.float64(w[5]))
+        force = wp.vec3d(wp.spatial_top(w))
+        torque = wp.vec3d(wp.spatial_bottom(w))
         out = wp.float64(0.5) * force + (side / wp.dot(e, e)) * wp.cross(torque, e)
     return out
 
@@ -218,7 +218,4 @@ def place_capsules(
     z = wp.normalize(u - q)
     turn = capsule_turn(z, edge_director[p.edge])
     middle = wp.float64(0.5) * (q + u)
-    body_q_out[body[r, b]] = wp.transform(
-        wp.vec3(float(middle[0]), float(middle[1]), float(middle[2])),
-        wp.quat(float(turn[0]), float(turn[1]), float(turn[2]), float(turn[3])),
-    )
+    body_q_out[body[r, b]] = wp.transform(wp.vec3(middle), wp.quat(turn))

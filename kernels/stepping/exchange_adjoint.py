@@ -121,8 +121,7 @@ def want_pose(
     torque: wp.vec3d,
 ):
     """Add what is wanted of a body's place, and of its turn by a rotation vector."""
-    raw = wp.transform_get_rotation(pose)
-    q = wp.quatd(wp.float64(raw[0]), wp.float64(raw[1]), wp.float64(raw[2]), wp.float64(raw[3]))
+    q = wp.quatd(wp.transform_get_rotation(pose))
     # A quaternion counts as if it were normalised.
     wanted = wp.quatd(torque[0], torque[1], torque[2], ZERO) * q
     size = TWO / wp.dot(q, q)

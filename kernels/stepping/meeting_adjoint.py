@@ -12,8 +12,8 @@ from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.stepping.bodies import Body, BodyMotion
 from wrod.kernels.stepping.body_adjoint import WantedBodies, part
 from wrod.kernels.stepping.body_contact import Press, Push, add_stiffness, hold, pose_in_row, press
-from wrod.kernels.stepping.body_meetings import Meeting, from_pose, pose_of
-from wrod.kernels.stepping.carrying import Pose, as_pose
+from wrod.kernels.stepping.body_meetings import Meeting, pose_of
+from wrod.kernels.stepping.carrying import Pose, as_pose, from_pose
 from wrod.kernels.stepping.carrying_adjoint import want_carrier
 from wrod.kernels.stepping.exchange_adjoint import want_pose
 from wrod.kernels.stepping.trace import OneStep

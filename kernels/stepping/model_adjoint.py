@@ -17,7 +17,7 @@ from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.elastic.softened_bending import softening_law
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import solved
-from wrod.kernels.stepping.dynamics import difference, rate, velocity_of
+from wrod.kernels.stepping.dynamics import difference, velocity_of
 from wrod.kernels.stepping.trace import OneStep, Wanted
 from wrod.kernels.stepping.viscosity import strain
 
@@ -139,7 +139,7 @@ def want_bending(
     if viscous_time.shape[1] > 0:
         b = step.strain[r, i]
         o = step.strain_older[r, i]
-        flow = rate(
+        flow = difference(
             step.coefficient[r], step.span[r], now, wp.vec3d(b[0], b[1], b[2]),
             wp.vec3d(o[0], o[1], o[2]),
         )  # fmt: skip
@@ -224,7 +224,7 @@ def want_masses(
     c = step.coefficient[r]
     dt = step.span[r]
     v = velocity_of(step, r, i)
-    a = rate(c, dt, v, node(step.velocity, r, i), node(step.velocity_older, r, i))
+    a = difference(c, dt, v, node(step.velocity, r, i), node(step.velocity_older, r, i))
     weight = wp.dot(w, a + air_of_mass[r, i] * v - load * gravity[r])
     model.node_mass[r, i] = model.node_mass[r, i] - weight
     wp.atomic_sub(model.air, r, i, node_mass[r, i] * wp.dot(w, v))

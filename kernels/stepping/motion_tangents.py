@@ -12,7 +12,7 @@ from wrod.kernels.elastic.assembly import HALF_BANDWIDTH, add_edge_gradient
 from wrod.kernels.elastic.curvature import component, invariant_gradient, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node
 from wrod.kernels.linear.banded import banded_entry
-from wrod.kernels.stepping.dynamics import drag_force, drag_matrix, rate
+from wrod.kernels.stepping.dynamics import difference, drag_force, drag_matrix
 from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.viscosity import strain, times_of
 
@@ -83,20 +83,20 @@ def inertial_tangents(
     dt = pace.step[r]
     m = wp.min(r, mass.shape[0] - 1)
     zero = wp.vec3d(ZERO, ZERO, ZERO)
-    v = rate(coefficient, dt, node(dof, r, i), node(before, r, i), node(older, r, i))
-    a = rate(coefficient, dt, v, node(velocity_before, r, i), node(velocity_older, r, i))
+    v = difference(coefficient, dt, node(dof, r, i), node(before, r, i), node(older, r, i))
+    a = difference(coefficient, dt, v, node(velocity_before, r, i), node(velocity_older, r, i))
     g = gravity[m, i]
     damping = drag_matrix(v, linear_drag[m, i], quadratic_drag[m, i])
     last_column = wp.min(right_hand_side_out.shape[1], (group + 1) * per_thread)
     for j in range(group * per_thread, last_column):
-        dv = rate(
+        dv = difference(
             coefficient,
             dt,
             zero,
             column_node(tangent_before, r, j, i),
             column_node(tangent_older, r, j, i),
         )
-        da = rate(
+        da = difference(
             coefficient,
             dt,
             dv,
