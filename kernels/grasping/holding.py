@@ -11,7 +11,6 @@ from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
 from wrod.kernels.grasping.closures import CONVERGED, FAILED
 from wrod.kernels.linear.banded import banded_entry
-from wrod.kernels.linear.border import worst_imbalance
 from wrod.kernels.stepping.newton_iteration import safe_fraction
 
 wp.set_module_options({"enable_backward": False})
@@ -52,6 +51,21 @@ def grip_balance(
         if free[r, b] != 0:
             value += banded_entry(hessian, r, a, b) * solution[r, column, b]
     return value
+
+
+@wp.func
+def worst_imbalance(
+    free: wp.array2d(dtype=wp.int32), gradient: wp.array2d(dtype=wp.float64), r: int
+) -> wp.float64:
+    """Largest unbalanced force of the free degrees of freedom."""
+    worst = wp.float64(0.0)
+    for a in range(gradient.shape[1]):
+        if free[r, a] != 0:
+            value = wp.abs(gradient[r, a])
+            # Comparisons with a NaN are false, so that one is not lost.
+            if not (value <= worst) and wp.isfinite(worst):
+                worst = wp.float64(value)
+    return worst
 
 
 @wp.kernel
@@ -157,7 +171,7 @@ def walk_grip(
         return
     n = gradient.shape[1]
     arrived = progress[r] >= ONE
-    worst = worst_imbalance(free, gradient, r, 0, 0)
+    worst = worst_imbalance(free, gradient, r)
     residual_out[r] = worst
     iterations[r] = iterations[r] + 1
     wanted = tolerance[r]

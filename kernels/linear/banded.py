@@ -181,3 +181,43 @@ def multiply(
     for b in range(wp.max(0, a - HALF_BANDWIDTH), wp.min(n, a + HALF_BANDWIDTH + 1)):
         value += banded_entry(hessian, r, a, b) * vector[r, j, b]
     product_out[r, j, a] = value
+
+
+@wp.kernel
+def load_border(
+    # Model:
+    border: wp.array(dtype=wp.int32),
+    # In:
+    active: wp.array(dtype=wp.int32),
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+    # Out:
+    rhs_out: wp.array3d(dtype=wp.float64),
+):
+    """Right-hand sides of systems with a border, degrees of freedom that are prescribed in the
+    matrix and unknowns of a small system: the gradient, then the Hessian's columns of the border.
+    """
+    r, j, a = wp.tid()
+    if active[r] == 0:
+        return
+    if j == 0:
+        rhs_out[r, 0, a] = gradient[r, a]
+    else:
+        rhs_out[r, j, a] = banded_entry(hessian, r, a, border[j - 1])
+
+
+@wp.kernel
+def shift_by_mass(
+    # In:
+    active: wp.array(dtype=wp.int32),
+    hessian: wp.array3d(dtype=wp.float64),
+    mass: wp.array2d(dtype=wp.float64),
+    shift: wp.array(dtype=wp.float64),
+    # Out:
+    shifted_out: wp.array3d(dtype=wp.float64),
+):
+    """Diagonal of `hessian - shift * mass`, for eigenvalues by inverse iteration; the rest of
+    `shifted_out` is left alone."""
+    r, a = wp.tid()
+    if active[r] != 0:
+        shifted_out[r, a, 0] = hessian[r, a, 0] - shift[r] * mass[r, a]

@@ -98,6 +98,14 @@ class BatchArrays(OnDevice):
             ) from None
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
 
+    def zeros(self, *shape: int, dtype: Any = wp.float64) -> wp.array:
+        """(rod, *shape) of nothing yet."""
+        return wp.zeros((self.rod_count, *shape), dtype=dtype, device=self.device)
+
+    def array(self, values: np.ndarray | Sequence, dtype: Any = wp.float64) -> wp.array:
+        """Values beside the batch's own."""
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+
     @property
     def elastic_arrays(self) -> list[wp.array]:
         """What the elastic energy depends on besides the state, as the batch has it now."""

@@ -247,10 +247,6 @@ class RodBatch(BatchArrays):
         results = [out.energy if energy else self._nothing, out.gradient, out.hessian]
 
         shape = [state.dof, state.director, state.reference_twist]
-
-        def launch(kernel, count, inputs, outputs=results):
-            self.launch(kernel, (self.rod_count, count), inputs, outputs)
-
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
         terms = [(softened_elasticity if self.softens else elasticity, model or self.elastic_model)]
         terms += [(softened_elasticity, layer) for layer in self.layers]
@@ -258,10 +254,10 @@ class RodBatch(BatchArrays):
             dim, inputs = (self.rod_count, count), [numbers, active, *shape, order, owned, i == 0]
             self.launch(kernel, dim, inputs, results, width)
         for kernel, number in self.energies if energies is None else energies:
-            launch(kernel, nodes - 2, [self.elastic_model, number, active, *shape, order])
-        launch(
+            inputs = [self.elastic_model, number, active, *shape, order]
+            self.launch_inner(kernel, inputs, results)
+        self.launch_nodes(
             dead_loads,
-            nodes,
             [self.node_mass, self.gravity, self.point_load, self.load_factor, active, state.dof],
             results[:2],
         )

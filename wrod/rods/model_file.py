@@ -157,7 +157,8 @@ def _new(path, content: dict, instead: dict) -> RodModel:
             said.append(f"beyond the measured {longest:g} m it goes on as it is there")
     model = replace(model, **instead)
     model.refuse_lump()
-    _warn(path, said)
+    if said:
+        warnings.warn(f"{path}: {'; '.join(said)}", WrodWarning, stacklevel=4)
     return model
 
 
@@ -192,11 +193,6 @@ def _assumed(rod: dict, assumed, instead: dict) -> list[str]:
     assumed = [key for key in rod if key in assumed and key not in instead]
     values = ", ".join(f"{key} {rod.get(key)!r:.40}" for key in assumed)
     return [f"{values} assumed, as nothing that was measured tells them"] if assumed else []
-
-
-def _warn(path, said: list[str]) -> None:
-    if said:
-        warnings.warn(f"{path}: {'; '.join(said)}", WrodWarning, stacklevel=5)
 
 
 def _read(path) -> dict:

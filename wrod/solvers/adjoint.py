@@ -81,14 +81,12 @@ class StepAdjoint:
         viscous = dynamics.viscosity.exists
         self.viscosity = Viscosity(batch, dynamics.viscosity.time.numpy() if viscous else 0.0)
 
-        def floats(*shape, dtype: type = wp.float64):
-            return wp.zeros((rods, *shape), dtype=dtype, device=device)
-
+        floats = batch.zeros
         self.now, self.before, self.older = (make_wanted(dynamics) for _ in range(3))
         arrays = {name: wp.zeros_like(a) for name, a in step_arrays(dynamics).items()}
         bristles = {name: wp.zeros_like(a) for name, a in bristle_arrays(dynamics).items()}
         recalled = [*arrays.values(), *bristles.values()]
-        arrays["active"] = wp.zeros(rods, dtype=wp.int32, device=device)
+        arrays["active"] = floats(dtype=wp.int32)
         self.step = filled(OneStep(), arrays)
         self._end = filled(OneStep(), arrays)
         self._goes_halfway = SCHEMES[dynamics._scheme] == "midpoint"
@@ -139,7 +137,7 @@ class StepAdjoint:
         if self._past is not None:
             recalled.append(self._past.node)
         self._parts, self.levels = StepParts(recalled), self._all_wanted()
-        self.moved = wp.array(moved, dtype=wp.int32, device=device)
+        self.moved = batch.array(moved, dtype=wp.int32)
         none = floats(0)
         self._edge_mass = none if dynamics.edge_mass is None else dynamics.edge_mass
         self._viscous_time = self.viscosity.time if viscous else floats(0, dtype=wp.vec4d)

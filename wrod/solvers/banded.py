@@ -11,7 +11,6 @@ from wrod.kernels.linear import (
     banded,
     banded_ends,
     banded_lanes,
-    border,
     factor_lanes,
     two_warps,
 )
@@ -38,17 +37,16 @@ class BandedSystem:
     """
 
     def __init__(self, batch: RodBatch, right_hand_sides: int = 1):
-        rods, dofs, device = batch.rod_count, batch.dof_count, batch.device
-        self.batch = batch
-        self.factor = wp.zeros((rods, dofs, HALF_BANDWIDTH + 1), dtype=wp.float64, device=device)
-        self.shift = wp.zeros(rods, dtype=wp.float64, device=device)
-        self.negative_pivots = wp.zeros(rods, dtype=wp.int32, device=device)
-        self.x = wp.zeros((rods, right_hand_sides, dofs), dtype=wp.float64, device=device)
-        self.shortened = wp.ones(rods, dtype=wp.float64, device=device)
+        self.batch, dofs = batch, batch.dof_count
+        self.factor = batch.zeros(dofs, HALF_BANDWIDTH + 1)
+        self.shift = batch.zeros()
+        self.negative_pivots = batch.zeros(dtype=wp.int32)
+        self.x = batch.zeros(right_hand_sides, dofs)
+        self.shortened = wp.ones(batch.rod_count, dtype=wp.float64, device=batch.device)
         first = 4 * np.array([0, *(e + 1 for e in batch.cut_edges), batch.node_count])
         first[-1] = dofs
-        parts = np.column_stack([first[:-1], np.diff(first)]).astype(np.int32)
-        self.segment = wp.array(parts, dtype=wp.vec2i, device=device)
+        parts = np.column_stack([first[:-1], np.diff(first)])
+        self.segment = batch.array(parts, dtype=wp.vec2i)
 
     def shorten(self, active: wp.array) -> None:
         """Shorten the first solution to what a Newton iteration may take of it: all."""
@@ -122,7 +120,7 @@ class BorderedSystem(BandedSystem):
     def __init__(self, batch: RodBatch, coordinates: Sequence[int]):
         super().__init__(batch, right_hand_sides=1 + len(coordinates))
         indices = [a % batch.dof_count for a in coordinates]
-        self.border = wp.array(indices, dtype=wp.int32, device=batch.device)
+        self.border = batch.array(indices, dtype=wp.int32)
 
     def load(
         self, gradient: wp.array, hessian: wp.array, active: wp.array, columns: int | None = None
@@ -130,7 +128,7 @@ class BorderedSystem(BandedSystem):
         """Fill the first (default: all) right-hand sides: `gradient` (rod, dof), then the columns
         of `hessian` (rod, dof, 11) that belong to the border."""
         self.batch.launch(
-            border.load_border,
+            banded.load_border,
             (self.x.shape[0], columns or self.x.shape[1], self.x.shape[2]),
             [self.border, active, gradient, hessian],
             [self.x],

@@ -46,22 +46,20 @@ class Bodies:
 
     def __init__(self, batch: RodBatch, body: np.ndarray, hold: np.ndarray):
         self.batch, device = batch, batch.device
-        self.body = wp.array(body, dtype=kernels.Body, device=device)
-        self.hold = wp.array(hold, dtype=kernels.Hold, device=device)
+        self.body = batch.array(body, dtype=kernels.Body)
+        self.hold = batch.array(hold, dtype=kernels.Hold)
         shape = self.body.shape
         motions, dofs = 6 * shape[1], batch.dof_count
         self.columns = motions
 
         def vectors():
-            return wp.zeros(shape, dtype=wp.vec3d, device=device)
+            return batch.zeros(shape[1], dtype=wp.vec3d)
 
         def motion():
             turn = wp.full(shape, wp.quatd(0.0, 0.0, 0.0, 1.0), dtype=wp.quatd, device=device)
             return motion_of(vectors(), turn, vectors(), vectors())
 
-        def floats(*size):
-            return wp.zeros((shape[0], *size), dtype=wp.float64, device=device)
-
+        floats = batch.zeros
         self.now, self.before, self.older = motion(), motion(), motion()
         self.place, self.turn = self.now.place, self.now.turn
         self.velocity, self.momentum = self.before.velocity, self.before.momentum
@@ -74,9 +72,9 @@ class Bodies:
         self.spans: tuple[wp.array | None, wp.array | None] = (None, None)
         self._small, self._step = floats(motions, motions + 1), floats(motions)
         self._fraction = wp.ones(shape[0], dtype=wp.float64, device=device)
-        self.carried = wp.array(self._carried(hold), dtype=wp.int32, device=device)
-        self._written_q = wp.zeros(shape, dtype=wp.transform, device=device)
-        self._written_qd = wp.zeros(shape, dtype=wp.spatial_vector, device=device)  # type: ignore[call-overload]
+        self.carried = batch.array(self._carried(hold), dtype=wp.int32)
+        self._written_q = batch.zeros(shape[1], dtype=wp.transform)
+        self._written_qd = batch.zeros(shape[1], dtype=wp.spatial_vector)
 
     def _carried(self, hold: np.ndarray) -> np.ndarray:
         out = self.batch.free.numpy().copy()

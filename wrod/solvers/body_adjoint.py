@@ -50,14 +50,10 @@ class BodyAdjoint:
     def __init__(self, bodies: Bodies):
         self.bodies, batch = bodies, bodies.batch
         self._batch = batch
-        shape, device = bodies.body.shape, batch.device
-        motions, dofs = bodies.columns, batch.dof_count
+        slots, motions, dofs = bodies.body.shape[1], bodies.columns, batch.dof_count
 
         def vectors():
-            return wp.zeros(shape, dtype=wp.vec3d, device=device)
-
-        def floats(*size):
-            return wp.zeros((shape[0], *size), dtype=wp.float64, device=device)
+            return batch.zeros(slots, dtype=wp.vec3d)
 
         self.now, self.before, self.older = (kernels.WantedBodies() for _ in range(3))
         for level in (self.now, self.before, self.older):
@@ -68,18 +64,18 @@ class BodyAdjoint:
             filled(steps, dict(zip(kernels.BodySteps.vars, arrays, strict=True)))
         self.pose, self.force, self.torque = self.step, vectors(), vectors()
         self._motion_at = motion_of(self.step.place, self.step.turn, *[vectors()] * 2)
-        self._motion, self._column, self._line = (floats(motions, dofs) for _ in range(3))
-        self._load, self._matrix = floats(shape[1], 6), floats(shape[1], 36)
-        self._small, self.multiplier = floats(motions, motions + 1), floats(motions)
+        self._motion, self._column, self._line = (batch.zeros(motions, dofs) for _ in range(3))
+        self._load, self._matrix = batch.zeros(slots, 6), batch.zeros(slots, 36)
+        self._small, self.multiplier = batch.zeros(motions, motions + 1), batch.zeros(motions)
         self.meetings: Meetings | None = None
         self.touches: CarriedAdjoint | None = None
         self.pairs: PairAdjoint | None = None
-        self._press, self._on_bodies, self._by_bodies = (floats(0, 0) for _ in range(3))
-        self._whole = wp.ones(shape[0], dtype=wp.float64, device=device)
+        self._press, self._on_bodies, self._by_bodies = (batch.zeros(0, 0) for _ in range(3))
+        self._whole = wp.ones(batch.rod_count, dtype=wp.float64, device=batch.device)
         self._fraction = wp.ones_like(self._whole)
-        self.x = wp.zeros((shape[0], 1 + motions, dofs), dtype=ALONE, device=device)
+        self.x = batch.zeros(1 + motions, dofs, dtype=ALONE)
         self._numbers = wp.array(
-            ptr=self.x.ptr, dtype=wp.float64, shape=self.x.shape, device=device
+            ptr=self.x.ptr, dtype=wp.float64, shape=self.x.shape, device=batch.device
         )
 
     def meet(self, meetings: Meetings) -> None:
@@ -96,8 +92,7 @@ class BodyAdjoint:
         )
 
     def _of_motions(self, size: int) -> wp.array:
-        shape = (self._batch.rod_count, self.bodies.columns, size)
-        return wp.zeros(shape, dtype=wp.float64, device=self._batch.device)
+        return self._batch.zeros(self.bodies.columns, size)
 
     def clear(self) -> None:
         """Want nothing of forces any more."""

@@ -20,11 +20,10 @@ class CarriedShapes:
 
     def __init__(self, bodies: Bodies, slot: np.ndarray, place: np.ndarray, turn: np.ndarray):
         self.bodies, self.batch = bodies, bodies.batch
-        device = self.batch.device
+        array = self.batch.array
         self.places = carried = kernels.Carried()
-        carried.slot = wp.array(slot, dtype=wp.int32, device=device)
-        carried.place = wp.array(place, dtype=wp.vec3d, device=device)
-        carried.turn = wp.array(turn, dtype=wp.quatd, device=device)
+        carried.slot = array(slot, dtype=wp.int32)
+        carried.place, carried.turn = array(place, dtype=wp.vec3d), array(turn, dtype=wp.quatd)
         bodies.meet_rods()
 
     def move(self, place: np.ndarray, turn: np.ndarray) -> None:
@@ -56,10 +55,8 @@ class CarriedShapes:
     def overlaps(self, shapes: wp.array, radius: np.ndarray) -> np.ndarray:
         """(row, shape, edge) how deep edges of these radii (row, edge) are in carried shapes now,
         over the radius."""
-        device, dof = self.batch.device, self.batch.state.dof
-        size = (*shapes.shape, radius.shape[1])
-        depth = wp.zeros(size, dtype=wp.float64, device=device)
-        thick = wp.array(np.ascontiguousarray(radius), dtype=wp.float64, device=device)
-        inputs = [shapes, self.places, thick, dof]
-        self.batch.launch(kernels.measure_overlaps, size, inputs, [depth])
+        batch = self.batch
+        depth = batch.zeros(shapes.shape[1], radius.shape[1])
+        inputs = [shapes, self.places, batch.array(radius), batch.state.dof]
+        batch.launch(kernels.measure_overlaps, depth.shape, inputs, [depth])
         return depth.numpy()

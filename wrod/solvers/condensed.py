@@ -37,18 +37,15 @@ class CondensedSystem(PairedSystem):
         self._unknowns = unknowns
         parts = self.segment.numpy()
         owner = np.repeat(np.arange(len(parts)), -(-parts[:, 1] // 4))
-        self._owner = wp.array(owner.astype(np.int32), dtype=wp.int32, device=device)
+        self._owner = batch.array(owner, dtype=wp.int32)
         pairs, columns = unknowns // 3, self.x.shape[1]
 
-        def zeros(*shape, dtype=wp.float64):
-            return wp.zeros((rods, *shape), dtype=dtype, device=device)
-
-        self._weight = zeros(18 * pairs, dtype=wp.vec4d)
-        self._column = zeros(6 * pairs, int(parts[:, 1].max()))
-        self._matrix, self._size = zeros(unknowns, unknowns), zeros(unknowns)
-        self._panel, self._diagonal = zeros(2 * unknowns, tile), zeros(unknowns, tile)
-        self._t, self._push = zeros(columns, unknowns), wp.zeros_like(self.x)
-        self._tiles, self._arrived = (zeros(dtype=wp.int32) for _ in range(2))
+        self._weight = batch.zeros(18 * pairs, dtype=wp.vec4d)
+        self._column = batch.zeros(6 * pairs, int(parts[:, 1].max()))
+        self._matrix, self._size = batch.zeros(unknowns, unknowns), batch.zeros(unknowns)
+        self._panel, self._diagonal = batch.zeros(2 * unknowns, tile), batch.zeros(unknowns, tile)
+        self._t, self._push = batch.zeros(columns, unknowns), wp.zeros_like(self.x)
+        self._tiles, self._arrived = (batch.zeros(dtype=wp.int32) for _ in range(2))
         self._turns = (_COLUMNS, _THREADS) if self._on_gpu else (1, 1)
         # Blocks that wait for each other must all be there at once.
         there = wp.get_device(device).sm_count if self._on_gpu else 1

@@ -94,9 +94,7 @@ class Contact(OnDevice):
         radius = _per_node("radius", self.radius, (rods, nodes))
         stiffness = _per_node("stiffness", self.stiffness, (rods, nodes))
 
-        def floats(values):
-            return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=device)
-
+        floats = batch.array
         shapes, static, kinetic, rolling, roll = self._table()
         idle = np.zeros((rods, nodes), dtype=bool)
         if self.passive is not None:
@@ -117,7 +115,7 @@ class Contact(OnDevice):
         model.relaxation = floats(damping[:, None] * np.sqrt(ratio))
         everywhere = np.ones((1, 1)), (0.0, 0.0, 1.0, 1.0)
         factor, place = everywhere if field is None else (field.factor, field._place())
-        model.field = floats(np.ascontiguousarray(factor))
+        model.field = floats(factor)
         model.place = wp.vec4d(*map(float, place))
         self.time_step = floats(np.full(rods, np.inf))
         self._edges = EdgeContact(
@@ -126,8 +124,8 @@ class Contact(OnDevice):
         self._note_fixtures()
         self.bristles = Bristles(batch, shapes.shape[1], nodes)
         self.ended = self.iteration = wp.full(rods, -1, dtype=wp.int32, device=device)
-        self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
-        self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
+        self.slip = batch.zeros(nodes)
+        self.force = batch.zeros(nodes, dtype=wp.vec3d)
         if self._has_fixtures:
             self._edges.restart(batch.every_rod, batch.state.dof)
 

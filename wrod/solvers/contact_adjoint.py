@@ -46,35 +46,31 @@ class ContactAdjoint:
         self._contact, self._solids = contact_of(dynamics), solids_of(dynamics)
         self._rolls = self._contact is not None and self._contact.holds_roll
 
-        def floats(*shape, dtype: Any = wp.float64):
-            return wp.zeros((rods, *shape), dtype=dtype, device=batch.device)
-
-        def numbers(values):
-            return wp.array(values, dtype=wp.float64, device=batch.device)
-
         of_nodes, of_edges = nodes * (self._contact is not None), nodes - 1
         of_solids = of_edges * (self._solids is not None)
         self.matrix = {
-            "coupling": floats(of_nodes, dtype=wp.mat33d),
-            "block": floats(of_solids, dtype=EdgeBlock),
-            "roll": floats(of_edges * self._rolls),
-            "roll_with_next": floats(of_edges * self._rolls),
-            "roll_of_node": floats(of_nodes * self._rolls, dtype=wp.vec3d),
-            "roll_of_edge": floats(of_solids * self._rolls, dtype=RollBlock),
+            "coupling": batch.zeros(of_nodes, dtype=wp.mat33d),
+            "block": batch.zeros(of_solids, dtype=EdgeBlock),
+            "roll": batch.zeros(of_edges * self._rolls),
+            "roll_with_next": batch.zeros(of_edges * self._rolls),
+            "roll_of_node": batch.zeros(of_nodes * self._rolls, dtype=wp.vec3d),
+            "roll_of_edge": batch.zeros(of_solids * self._rolls, dtype=RollBlock),
         }
         shapes = 0 if self._contact is None else self._contact.table.shape[1]
-        self.by_friction = floats(shapes)
-        vectors = {name: floats(shapes, dtype=wp.vec3d) for name in edge_adjoint.WantedShapes.vars}
+        self.by_friction = batch.zeros(shapes)
+        vectors = {
+            name: batch.zeros(shapes, dtype=wp.vec3d) for name in edge_adjoint.WantedShapes.vars
+        }
         self.by_shape = filled(edge_adjoint.WantedShapes(), vectors)
         self.borne = Borne()
-        self.borne.shift, self.borne.turn = (floats(0, dtype=wp.vec3d) for _ in range(2))
+        self.borne.shift, self.borne.turn = (batch.zeros(0, dtype=wp.vec3d) for _ in range(2))
         if stiffness_of_mass is None:
             stiffness_of_mass = np.zeros((rods, nodes))
-        self._stiffness_share = numbers(stiffness_of_mass)
+        self._stiffness_share = batch.array(stiffness_of_mass)
         burdened = np.full((rods, nodes), self._contact is not None and self._contact.burdened)
-        self._burdened = wp.array(burdened, dtype=wp.int32, device=batch.device)
+        self._burdened = batch.array(burdened, dtype=wp.int32)
         if self._contact is not None:
-            self._per_mass = numbers(stiffness_of_mass / self._contact.model.stiffness.numpy())
+            self._per_mass = batch.array(stiffness_of_mass / self._contact.model.stiffness.numpy())
             own = ("active", "span", "dof", "dof_before")
             known = {
                 "iteration": self._contact.ended,

@@ -127,25 +127,24 @@ class Dynamics(NewtonSteps):
         else:
             self.system = BandedSystem(batch, columns)
 
-        def floats(value, name="value"):
-            value = arguments.spread(value, (rods,), f"Dynamics: {name}", RodError)
-            return wp.array(np.ascontiguousarray(value), dtype=wp.float64, device=device)
+        def floats(name, value):
+            return batch.array(arguments.spread(value, (rods,), f"Dynamics: {name}", RodError))
 
-        self.mass = wp.array(lumped_masses(batch, radius), dtype=wp.float64, device=device)
+        self.mass = batch.array(lumped_masses(batch, radius))
         self.edge_mass = None
         if inertia == "consistent":
-            self.edge_mass = wp.array(edge_masses(batch), dtype=wp.float64, device=device)
-        self.air_damping = floats(air_damping, "air_damping")
+            self.edge_mass = batch.array(edge_masses(batch))
+        self.air_damping = floats("air_damping", air_damping)
         self.drag = None
         # The last change of velocity tells Newton's start, but for what hits something.
         self._growth = 0.0 if self.contacts else 0.5
         self.viscosity = Viscosity(batch, internal_damping)
         self.internal = InternalVariables(batch)
         scale = usual_force(batch) if force_scale is None else force_scale
-        self.force_scale = floats(scale, "force_scale")
-        self.length_scale = floats(batch.rest_length.numpy().sum(axis=1))
+        self.force_scale = floats("force_scale", scale)
+        self.length_scale = batch.array(batch.rest_length.numpy().sum(axis=1))
         rounding = rounding_of(batch, self.length_scale.numpy(), self.force_scale.numpy())
-        self.rounding = wp.array(rounding, dtype=wp.vec2d, device=device)
+        self.rounding = batch.array(rounding, dtype=wp.vec2d)
         for one in self.contacts:
             one.time_step, one.iteration = self.span, self.iteration
         if self.rod_contact is not None:

@@ -27,8 +27,7 @@ class Bristles:
             "bristle": wp.vec3d, "sliding": wp.int32, "turned": wp.float64, "stretch": wp.vec3d,
             "dual": wp.vec3d,
         }  # fmt: skip
-        shape, device = (batch.rod_count, shapes, pieces), batch.device
-        self.arrays = {name: wp.zeros(shape, dtype=kinds[name], device=device) for name in kinds}
+        self.arrays = {n: batch.zeros(shapes, pieces, dtype=kind) for n, kind in kinds.items()}
         self._steps: dict[tuple, ContactStep] = {}
 
     def step(self, **others: wp.array) -> ContactStep:
@@ -61,11 +60,7 @@ class EdgeContact:
 
     def __init__(self, batch: RodBatch, radius, stiffness, skin, nodes, damping):
         self.batch = batch
-        device, edges = batch.device, batch.node_count - 1
-
-        def floats(values):
-            return wp.array(np.ascontiguousarray(values), dtype=wp.float64, device=device)
-
+        floats, edges = batch.array, batch.node_count - 1
         radius = np.nan_to_num((radius[:, 1:] + radius[:, :-1]) / 2)
         radius[:, list(batch.cut_edges)] = 0.0
         stiffness = (stiffness[:, 1:] + stiffness[:, :-1]) / 2 * batch.rest_length.numpy()
@@ -82,11 +77,10 @@ class EdgeContact:
         # radius: faster, it loses its grip on the way. Rods without any mass have no speed.
         light = max(1e-12 * mass.max(), np.finfo(float).tiny)
         self._speed = floats(_EMERGING * radius * np.sqrt(stiffness / np.maximum(mass, light)))
-        self._hidden = wp.zeros(radius.shape, dtype=wp.float64, device=device)
+        self._hidden = batch.zeros(edges)
         table = model.shapes.shape
         self.bristles = Bristles(batch, table[1], edges)
-        self.push = wp.zeros(table, dtype=wp.vec3d, device=device)
-        self.moment = wp.zeros(table, dtype=wp.vec3d, device=device)
+        self.push, self.moment = (batch.zeros(table[1], dtype=wp.vec3d) for _ in range(2))
         self.carried: CarriedShapes | None = None
         self.yields = False
 
@@ -97,20 +91,19 @@ class EdgeContact:
 
     def bear(self, burden: np.ndarray) -> None:
         """Let shapes press: see `Contact.bear`."""
-        device = self.batch.device
-        self.model.burden = wp.array(burden, dtype=wp.float64, device=device)
+        self.model.burden = self.batch.array(burden)
 
     def yield_to(self, bearer: np.ndarray, firmest: np.ndarray) -> None:
         """Let shapes be pressed gently: `firmest` (rod, shape) is the stiffness that all edges may
         have together on the `bearer` (rod, shape) of a shape [force/length], 0 for any."""
-        model, device = self.model, self.batch.device
+        model, batch = self.model, self.batch
         if self.yields:
             model.firmest.assign(firmest)
             return
         self.yields = True
-        model.firmest = wp.array(firmest, dtype=wp.float64, device=device)
-        model.bearer = wp.array(bearer, dtype=wp.int32, device=device)
-        model.near = wp.zeros(max(int(bearer.max()) + 1, 1), dtype=wp.int32, device=device)
+        model.firmest = batch.array(firmest)
+        model.bearer = batch.array(bearer, dtype=wp.int32)
+        model.near = wp.zeros(max(int(bearer.max()) + 1, 1), dtype=wp.int32, device=batch.device)
 
     def count_near(self, dof: wp.array) -> None:
         """Find out how many edges share that stiffness from now on."""
@@ -139,7 +132,7 @@ class EdgeContact:
         if self.model.rolling.numpy().any():
             raise RodError("rods on shapes that move with them cannot roll; use rolling=False")
         self.carried = carried
-        self.model.apart = wp.array(apart.astype(np.int8), dtype=wp.int8, device=self.batch.device)
+        self.model.apart = self.batch.array(apart, dtype=wp.int8)
 
     def add(self, step: ContactStep) -> None:
         out = self.batch.derivatives
@@ -187,6 +180,6 @@ class EdgeContact:
     def penetration(self, dof: wp.array) -> np.ndarray:
         """(rod,) deepest penetration into any fixture [length]."""
         self._place_carried()
-        depth = wp.zeros(self.batch.rod_count, dtype=wp.float64, device=self.batch.device)
+        depth = self.batch.zeros()
         self.batch.launch_edges(depths.measure_depth, [self.model, self._hidden, dof], [depth])
         return depth.numpy().copy()

@@ -23,11 +23,11 @@ class InelasticAdjoint:
     def __init__(self, batch: RodBatch):
         self._batch = batch
         self.node = wp.clone(batch.inelastic)
-        rods, nodes = batch.rod_count, batch.node_count
+        nodes = batch.node_count
         lopsided = bool((batch.inelastic.numpy()["law"] == int(DAHL)).any())
         columns = nodes if lopsided else 0
-        self.skew = wp.zeros((rods, columns), dtype=wp.float64, device=batch.device)
-        self.rate = wp.zeros((rods, columns, 11), dtype=wp.vec2d, device=batch.device)
+        self.skew = batch.zeros(columns)
+        self.rate = batch.zeros(columns, 11, dtype=wp.vec2d)
 
     @property
     def energies(self) -> list:

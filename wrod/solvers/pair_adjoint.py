@@ -69,20 +69,18 @@ class PairAdjoint:
         rods, nodes, device = batch.rod_count, batch.node_count, batch.device
         self._shape = step.pair_partner.shape
 
-        def numbers(dtype, *shape):
-            return wp.zeros((rods, *shape), dtype=dtype, device=device)
-
-        self._touching = numbers(wp.float64, *self._shape[1:])
+        numbers = batch.zeros
+        self._touching = numbers(*self._shape[1:])
         self._slots = wp.full((rods, nodes - 1), SLOTS, dtype=wp.int32, device=device)
         self.banded, self._count, self._changed, coupled, overflow = (
-            numbers(wp.int32) for _ in range(5)
+            numbers(dtype=wp.int32) for _ in range(5)
         )
         self._skyline = skyline_of(coupled, overflow, nodes)
-        self._pair = numbers(wp.vec3i, 6 * nodes)
-        self._scratch = [numbers(wp.int32, nodes) for _ in range(2)]
+        self._pair = numbers(6 * nodes, dtype=wp.vec3i)
+        self._scratch = [numbers(nodes, dtype=wp.int32) for _ in range(2)]
         self._capacity = min(nodes * _BLOCKS, nodes * (nodes + 1) // 2)
-        self._lower, self._upper = (numbers(wp.mat44d, self._capacity) for _ in range(2))
-        law = {name: numbers(wp.float64) for name in kernels.WantedLaw.vars}
+        self._lower, self._upper = (numbers(self._capacity, dtype=wp.mat44d) for _ in range(2))
+        law = {name: numbers() for name in kernels.WantedLaw.vars}
         self._law = filled(kernels.WantedLaw(), law)
         self._shares = self._law_shares(contact, shares)
         self._x: wp.array | None = None
@@ -105,10 +103,7 @@ class PairAdjoint:
         own = ("by_stretching", "by_radius", "by_length", "by_mass")
         values = {name: getattr(shares, name) for name in own}
         values |= {"size_by_radius": contact.mean_share, "total_mass": mass.sum(axis=1)}
-        arrays = {
-            name: wp.array(np.ascontiguousarray(value), dtype=wp.float64, device=batch.device)
-            for name, value in values.items()
-        }
+        arrays = {name: batch.array(value) for name, value in values.items()}
         return filled(kernels.LawShares(), arrays)
 
     def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:

@@ -45,7 +45,7 @@ class PrescribedMotion:
         said = arguments.wrong(arguments.like("a wrod.RodBatch", "node_count", "device"), batch)
         if said is not None:
             raise RodError(f"PrescribedMotion: batch {said}")
-        self.batch, device = batch, batch.device
+        self.batch = batch
         edges = arguments.floats(edge, "PrescribedMotion: edge", RodError)
         whole = np.isfinite(edges).all() and (np.abs(edges) < 1e9).all() and (edges % 1 == 0).all()
         edges = np.atleast_1d(edges.astype(int) if whole else edges)
@@ -74,12 +74,11 @@ class PrescribedMotion:
                 f"slides is {arguments.shown(slides)}; give axes, like 'x', one for each held edge"
             )
 
-        self._edge = wp.array(np.tile(edges, (rods, 1)), dtype=wp.int32, device=device)
-        self._part = wp.array(part, dtype=wp.float64, device=device)
-        self._times = wp.array(times, dtype=wp.float64, device=device)
-        self._position = wp.array(position, dtype=wp.vec3d, device=device)
+        self._edge = batch.array(np.tile(edges, (rods, 1)), dtype=wp.int32)
+        self._part, self._times = batch.array(part), batch.array(times)
+        self._position = batch.array(position, dtype=wp.vec3d)
         quaternion = turn.as_quat().reshape(rods, hands, keys, 4)
-        self._rotation = wp.array(quaternion, dtype=wp.quatd, device=device)
+        self._rotation = batch.array(quaternion, dtype=wp.quatd)
         free = batch.free.numpy()
         for e, axes in zip(edges, slides, strict=True):
             free[:, 4 * e : 4 * e + 7] = 0

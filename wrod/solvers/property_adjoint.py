@@ -31,30 +31,29 @@ class PropertyAdjoint:
     def __init__(self, dynamics: Dynamics, viscous_time: wp.array, air_of_mass: np.ndarray | None):
         batch = dynamics.batch
         self._batch, self._dynamics, self._viscous_time = batch, dynamics, viscous_time
-        rods, nodes, device = batch.rod_count, batch.node_count, batch.device
+        nodes = batch.node_count
         model = self.model = model_adjoint.WantedModel()
-        shapes = dict.fromkeys(("rest_length", "stretching"), (rods, nodes - 1))
-        shapes |= {"gravity": (rods,), "viscous_time": viscous_time.shape}
+        columns = dict.fromkeys(("rest_length", "stretching"), nodes - 1)
+        columns["viscous_time"] = viscous_time.shape[1]
         for name, kind in model_adjoint.WantedModel.vars.items():
-            shape = shapes.get(name, (rods, nodes))
-            setattr(model, name, wp.zeros(shape, dtype=kind.type.dtype, device=device))
+            shape = () if name == "gravity" else (columns.get(name, nodes),)
+            setattr(model, name, batch.zeros(*shape, dtype=kind.type.dtype))
         if air_of_mass is None:
             air_of_mass = np.repeat(dynamics.air_damping.numpy()[:, None], nodes, axis=1)
-        self._air_of_mass = wp.array(air_of_mass, dtype=wp.float64, device=device)
-        least = np.argmin(air_of_mass, axis=1)
-        self._stillest = wp.array(least, dtype=wp.int32, device=device)
+        self._air_of_mass = batch.array(air_of_mass)
+        self._stillest = batch.array(np.argmin(air_of_mass, axis=1), dtype=wp.int32)
         # An edge's inertia goes with the mass of its piece of the row.
         ends = np.array([*batch.cut_edges, nodes - 1])
         piece = np.searchsorted(ends, np.arange(nodes))
         total = np.stack([batch.node_mass.numpy()[:, piece == k].sum(axis=1)
                           for k in range(len(ends))], axis=1)  # fmt: skip
         share = dynamics.mass.numpy()[:, 3::4] / np.maximum(total[:, piece[:-1]], 1e-300)
-        self.piece = wp.array(piece, dtype=wp.int32, device=device)
-        self._spin_share = wp.array(share, dtype=wp.float64, device=device)
+        self.piece = batch.array(piece, dtype=wp.int32)
+        self._spin_share = batch.array(share)
         density = line_density(batch)
         density[:, list(batch.cut_edges)] = 0.0
-        self._density = wp.array(density, dtype=wp.float64, device=device)
-        self.spins = wp.zeros(total.shape, dtype=wp.float64, device=device)
+        self._density = batch.array(density)
+        self.spins = batch.zeros(len(ends))
 
     def clear(self) -> None:
         """Want nothing any more."""

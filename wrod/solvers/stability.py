@@ -13,7 +13,7 @@ import warp as wp
 
 from wrod import arguments
 from wrod.errors import RodError
-from wrod.kernels.linear.spectrum import shift_by_mass
+from wrod.kernels.linear.banded import shift_by_mass
 from wrod.rods.batch import RodBatch
 from wrod.solvers.banded import BandedSystem
 
@@ -39,21 +39,16 @@ def smallest_eigenvalue(
         (rod,) eigenvalues [force/length^2]; their signs agree with the negative pivots. Where the
         iteration does not settle the value is an upper bound, as every Rayleigh quotient is.
     """
-    rods, dofs, device = batch.rod_count, batch.dof_count, batch.device
     rest = batch.rest_length.numpy()
-    mass = np.zeros((rods, dofs))
-    for axis in range(3):
-        mass[:, axis:-3:4] += rest / 2
-        mass[:, 4 + axis :: 4] += rest / 2
-    mass *= batch.free.numpy()
-    mass_device = wp.array(mass, dtype=wp.float64, device=device)
+    mass = _lumped(rest) * batch.free.numpy()
+    mass_device = batch.array(mass)
     system = BandedSystem(batch, right_hand_sides=_VECTORS)
     if factor is None or negative_pivots is None:
         system.factorise(batch.evaluate(order=2).hessian, batch.every_rod)
         negative_pivots = system.negative_pivots.numpy().copy()
     else:
         system.factor = factor
-    shift = np.zeros(rods)
+    shift = np.zeros(batch.rod_count)
     unstable = negative_pivots > 0
     if unstable.any():
         system.factor, hessian = wp.clone(system.factor), batch.evaluate(order=2).hessian
@@ -83,10 +78,7 @@ def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarra
     """
     rest = batch.rest_length.numpy()
     length = rest.sum(axis=1)
-    mass = np.zeros((batch.rod_count, batch.dof_count))
-    for axis in range(3):
-        mass[:, axis:-3:4] += rest / 2
-        mass[:, 4 + axis :: 4] += rest / 2
+    mass = _lumped(rest)
     mass[:, 3::4] = rest * length[:, None] ** 2
     bending = batch.bending_stiffness.numpy()[:, 1:-1].reshape(batch.rod_count, -1)
     # Of the softer direction, but not of a cut.
@@ -95,8 +87,7 @@ def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarra
     shifted = wp.clone(hessian)
     batch.launch_dofs(
         shift_by_mass,
-        [batch.every_rod, hessian, wp.array(mass, dtype=wp.float64, device=batch.device)]
-        + [wp.array(-neutral * unit, dtype=wp.float64, device=batch.device)],
+        [batch.every_rod, hessian, batch.array(mass), batch.array(-neutral * unit)],
         [shifted],
     )
     system = BandedSystem(batch)
@@ -154,17 +145,26 @@ def find_critical_load(
     return 0.5 * (low + high), int(last)
 
 
+def _lumped(rest: np.ndarray) -> np.ndarray:
+    """(rod, dof) rest length that a node stands for, at its coordinates; 0 at angles."""
+    mass = np.zeros((len(rest), 4 * rest.shape[1] + 3))
+    for axis in range(3):
+        mass[:, axis:-3:4] += rest / 2
+        mass[:, 4 + axis :: 4] += rest / 2
+    return mass
+
+
 def _shift_below(system, hessian, mass, unit, unstable) -> np.ndarray:
     """Shift every unstable rod to below its spectrum, and factorise there."""
-    batch, device = system.batch, system.batch.device
+    batch = system.batch
     shift = np.where(unstable, -_FIRST_SHIFT * unit, 0.0)
     pending = unstable.copy()
     shifted = wp.clone(hessian)
     for _ in range(_SHIFTS):
-        active = wp.array(pending.astype(np.int32), dtype=wp.int32, device=device)
+        active = batch.array(pending, dtype=wp.int32)
         batch.launch_dofs(
             shift_by_mass,
-            [active, hessian, mass, wp.array(shift, dtype=wp.float64, device=device)],
+            [active, hessian, mass, batch.array(shift)],
             [shifted],
         )
         system.factorise(shifted, active)
@@ -178,7 +178,7 @@ def _shift_below(system, hessian, mass, unit, unstable) -> np.ndarray:
 def _inverse_iteration(system, mass, shift) -> np.ndarray:
     """Rayleigh-Ritz on a block of vectors under repeated (H - shift M)^-1 M."""
     batch = system.batch
-    rods, dofs, device = batch.rod_count, batch.dof_count, batch.device
+    rods, dofs = batch.rod_count, batch.dof_count
     # The same start for every rod and every call; any with a share of the softest motion serves.
     block = np.random.default_rng(0).standard_normal((_VECTORS, dofs))
     x = np.array(np.broadcast_to(block, (rods, _VECTORS, dofs)))
@@ -189,7 +189,7 @@ def _inverse_iteration(system, mass, shift) -> np.ndarray:
     value = np.full(rods, np.inf)
     active = np.ones(rods, dtype=bool)
     for _ in range(_MAX_ITERATIONS):
-        flags = wp.array(active.astype(np.int32), dtype=wp.int32, device=device)
+        flags = batch.array(active, dtype=wp.int32)
         system.x.assign(x * mass[:, None])
         system.solve(flags)
         y = system.x.numpy()[active]

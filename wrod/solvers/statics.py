@@ -58,24 +58,17 @@ class EquilibriumSolver:
     def __init__(self, batch: RodBatch):
         self.batch = batch
         rods, device = batch.rod_count, batch.device
-        self.force_scale, self.length_scale = (
-            wp.zeros(rods, dtype=wp.float64, device=device) for _ in range(2)
-        )
+        self.force_scale, self.length_scale = batch.zeros(), batch.zeros()
         self.system = BandedSystem(batch)
         self.trial = RodState.zeros(rods, batch.node_count, device)
         self.trial_derivatives = Derivatives.zeros(rods, 1, device)
         self.trial_derivatives.gradient = wp.zeros_like(batch.derivatives.gradient)
 
-        def ints():
-            return wp.zeros(rods, dtype=wp.int32, device=device)
-
-        def floats():
-            return wp.zeros(rods, dtype=wp.float64, device=device)
-
-        self.active, self.searching, self.retry, self.converged = (ints() for _ in range(4))
-        self.slope, self.fraction, self.shift_unit = (floats() for _ in range(3))
-        self.residual, self.tolerance = floats(), floats()
-        self.iterations = ints()
+        self.active, self.searching, self.retry, self.converged, self.iterations = (
+            batch.zeros(dtype=wp.int32) for _ in range(5)
+        )
+        self.slope, self.fraction, self.shift_unit = (batch.zeros() for _ in range(3))
+        self.residual, self.tolerance = batch.zeros(), batch.zeros()
         # Whether to take another round, or to try once more within one, and how often it was.
         self._goes_on, self._again, self._rounds, self._tried = (
             wp.zeros(1, dtype=wp.int32, device=device) for _ in range(4)
@@ -132,7 +125,7 @@ class EquilibriumSolver:
             prescribed = np.broadcast_to(prescribed, (rods, batch.dof_count))
             if not np.isfinite(prescribed).all():
                 raise RodError("a prescribed degree of freedom is not finite")
-            target = wp.array(prescribed, dtype=wp.float64, device=batch.device)
+            target = batch.array(prescribed)
 
         can_walk = ramp_loads or prescribed is not None
         done = np.zeros(rods)
@@ -172,7 +165,7 @@ class EquilibriumSolver:
     def _place(self, start, begin, target, progress, ramp_loads) -> None:
         """Set prescribed values and loads for this increment, frames carried along."""
         batch = self.batch
-        progress = wp.array(progress, dtype=wp.float64, device=batch.device)
+        progress = batch.array(progress)
         self._copy(self.active, start, batch.state)
         batch.launch_dofs(
             continuation.interpolate_prescribed,
@@ -185,7 +178,7 @@ class EquilibriumSolver:
 
     def _copy(self, chosen, source: RodState, target: RodState) -> None:
         if isinstance(chosen, np.ndarray):
-            chosen = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.batch.device)
+            chosen = self.batch.array(chosen, dtype=wp.int32)
         self.batch.copy_states(chosen, source, target)
 
     def _iterate(self, max_iterations: int, search: bool) -> np.ndarray:

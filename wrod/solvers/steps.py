@@ -81,11 +81,10 @@ class Steps(OnDevice):
         self.start = RodState.zeros(rods, batch.node_count, device)
         self.start.assign(batch.state)
 
-        def floats(value=0.0):
-            return wp.full(rods, value, dtype=wp.float64, device=device)
+        floats = batch.zeros
 
         def ints():
-            return wp.zeros(rods, dtype=wp.int32, device=device)
+            return batch.zeros(dtype=wp.int32)
 
         self.step_tolerance, self.residual = floats(), floats()
         self.time, self.until, self.step, self.step_before = (floats() for _ in range(4))
@@ -93,19 +92,17 @@ class Steps(OnDevice):
         # Why a rod leaves its scheme.
         self.leaves, self.touching = ints(), ints()
         self.wanted_step = floats()
-        self.taken = floats(1.0)
-        self.coefficient = wp.zeros(rods, dtype=wp.vec3d, device=device)
+        self.taken = wp.ones(rods, dtype=wp.float64, device=device)
+        self.coefficient = batch.zeros(dtype=wp.vec3d)
         self.running, self.starting, self.active, self.converged = (ints() for _ in range(4))
         self.iteration, self.iteration_count = ints(), ints()
         self.accepted, self.rejected, self.diverged, self.step_count = (ints() for _ in range(4))
         self.pace = filled(Pace(), {name: getattr(self, name) for name in Pace.vars})
-        shape = (rods, batch.dof_count)
-        self.velocity, self.velocity_older = (
-            wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(2)
+        self.velocity, self.velocity_older, self.reaction = (
+            batch.zeros(batch.dof_count) for _ in range(3)
         )
         self.dof_older = wp.clone(batch.state.dof)
         self._end = wp.clone(batch.state.dof)
-        self.reaction = wp.zeros(shape, dtype=wp.float64, device=device)
         state, start = batch.state, self.start
         self.present = filled(
             OneStep(),
@@ -143,8 +140,7 @@ def unit_pace(batch: RodBatch, *coefficient: float) -> Pace:
     """Every rod at time 0 in an accepted step of length 1, where rates are differences with three
     coefficients: for kernels that derivatives of steps share with those of rods at rest."""
     rods, device, pace = batch.rod_count, batch.device, Pace()
-    pace.accepted = batch.every_rod
+    pace.accepted, pace.time = batch.every_rod, batch.zeros()
     pace.coefficient = wp.full(rods, wp.vec3d(*coefficient), dtype=wp.vec3d, device=device)
-    pace.time = wp.zeros(rods, dtype=wp.float64, device=device)
     pace.step = wp.ones(rods, dtype=wp.float64, device=device)
     return pace

@@ -96,12 +96,8 @@ def require_differentiable(dynamics: Dynamics) -> None:
 
 def make_wanted(dynamics: Dynamics) -> Any:
     """`Wanted` of nothing yet."""
-    batch = dynamics.batch
+    batch, zeros = dynamics.batch, dynamics.batch.zeros
     nodes = batch.node_count
-
-    def zeros(*columns, dtype: type = wp.float64):
-        return wp.zeros((batch.rod_count, *columns), dtype=dtype, device=batch.device)
-
     out = kernels.Wanted()
     out.dof, out.velocity, out.turn = (zeros(n) for n in (*[batch.dof_count] * 2, nodes - 1))
     out.strain = zeros(nodes if dynamics.viscosity.exists else 0, dtype=wp.vec4d)

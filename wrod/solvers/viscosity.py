@@ -31,13 +31,12 @@ class Viscosity:
     """
 
     def __init__(self, batch: RodBatch, time: np.ndarray | float):
-        self.batch, device = batch, batch.device
-        shape = (batch.rod_count, batch.node_count)
-        self.time = wp.zeros(shape, dtype=wp.vec4d, device=device)
+        self.batch, nodes = batch, batch.node_count
+        self.time = batch.zeros(nodes, dtype=wp.vec4d)
         # (rod,) of the stretching: rounding in stiff edges grows with it.
-        self.stretching_time = wp.zeros(shape[0], dtype=wp.float64, device=device)
+        self.stretching_time = batch.zeros()
         # (1 or rod, node) in which viscous moments of bending and twisting relax.
-        self.relaxation = wp.zeros((1, shape[1]), dtype=wp.float64, device=device)
+        self.relaxation = wp.zeros((1, nodes), dtype=wp.float64, device=batch.device)
         self.relaxes = False
         self.set_time(time)
         each = np.ndim(time) > 1
@@ -48,9 +47,7 @@ class Viscosity:
         model = batch.elastic_model
         own = {name: wp.clone(getattr(model, name)) for name in ElasticModel.vars}
         self.model = filled(ElasticModel(), own)
-        self.strain, self.strain_older = (
-            wp.zeros(shape, dtype=wp.vec4d, device=device) for _ in range(2)
-        )
+        self.strain, self.strain_older = (batch.zeros(nodes, dtype=wp.vec4d) for _ in range(2))
 
     def set_time(self, time: np.ndarray | float) -> None:
         """Another Kelvin-Voigt time, given as before.
@@ -93,7 +90,7 @@ class Viscosity:
         if not (self.exists and time.any()):
             return
         self.relaxes = True
-        self.relaxation = wp.array(time, dtype=wp.float64, device=self.batch.device)
+        self.relaxation = self.batch.array(time)
         self._measure(self.batch.every_rod)
         wp.copy(self.strain_older, self.strain)
 
