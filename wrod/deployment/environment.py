@@ -17,7 +17,7 @@ from wrod.deployment.assembly import assemble
 from wrod.deployment.discretisation import USUAL
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.result import errors_along
-from wrod.deployment.setup import Disturbance, one_hemisphere
+from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import prepare_trials, with_remainder_of
 from wrod.deployment.trial import Trial
 from wrod.errors import RodError, needed_extras
@@ -28,6 +28,7 @@ from wrod.planning.trajectory import Trajectory
 from wrod.rods.device import OnDevice, resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
+from wrod.rods.rotation import one_hemisphere
 from wrod.solvers.friction import Friction
 
 with needed_extras():

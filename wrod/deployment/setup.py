@@ -22,7 +22,7 @@ from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-from wrod.rods.rotation import angle_about, carried, unit
+from wrod.rods.rotation import angle_about, carried, one_hemisphere, unit
 
 # The mesh stays fine for this long beyond what is laid, in L_gb: the boundary layer at the contact.
 _FINE_BEYOND = 4.0
@@ -342,10 +342,3 @@ def _schedule(path, tail, begin, turns, release, held_nodes, speed):
         position, one_hemisphere(rotation.as_quat()), held_nodes, let_free, let_go_time
     )
     return schedule, approach, measure_time, end_time, covered
-
-
-def one_hemisphere(quaternions: np.ndarray) -> np.ndarray:
-    """Flip signs so that neighbours are close, as interpolation needs."""
-    dots = np.sum(quaternions[1:] * quaternions[:-1], axis=1)
-    signs = np.cumprod(np.concatenate([[1.0], np.where(dots < 0.0, -1.0, 1.0)]))
-    return quaternions * signs[:, None]

@@ -16,7 +16,7 @@ from wrod.deployment.discretisation import USUAL, Discretisation
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.remembered import LaidParts, LastDeployments
 from wrod.deployment.result import interpolation
-from wrod.deployment.setup import Setup, blend, one_hemisphere
+from wrod.deployment.setup import Setup, blend
 from wrod.deployment.sharing_out import chunks, shared_out
 from wrod.deployment.simulate import nodes_needed, prepare_trials, with_remainder_of
 from wrod.deployment.trial import Trial
@@ -24,7 +24,7 @@ from wrod.errors import RodError
 from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import in_principal
 from wrod.rods.model import RodModel
-from wrod.rods.rotation import left_jacobian
+from wrod.rods.rotation import left_jacobian, one_hemisphere
 from wrod.solvers.compiling import compile_steps
 from wrod.solvers.friction import FrictionField
 from wrod.solvers.recording import launching

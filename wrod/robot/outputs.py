@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from wrod.errors import RobotError, needed_extras
 from wrod.files import write_atomically
 from wrod.robot.joint_path import JointPath
+from wrod.rods.rotation import one_hemisphere
 
 # name -> (file, what it is)
 FORMATS = {
@@ -260,8 +261,7 @@ def _poses(path: JointPath) -> str:
 
     poses = grasp_poses(path.robot, path.positions)
     turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
-    signs = np.cumprod(np.r_[1.0, np.where((turns[1:] * turns[:-1]).sum(1) < 0, -1.0, 1.0)])
-    rows = np.column_stack([path.time, poses[:, :3, 3], turns * signs[:, None]])
+    rows = np.column_stack([path.time, poses[:, :3, 3], one_hemisphere(turns)])
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["time [s]", "x [m]", "y [m]", "z [m]", "qx", "qy", "qz", "qw"])

@@ -79,3 +79,11 @@ def node_frames(m1: np.ndarray, t: np.ndarray) -> np.ndarray:
     t = unit(t)
     m1 = unit(m1 - np.sum(m1 * t, axis=2, keepdims=True) * t)
     return np.stack([m1, np.cross(t, m1), t], axis=3)
+
+
+def one_hemisphere(quaternions: np.ndarray) -> np.ndarray:
+    """(n, 4) the same rotations, signs flipped so that neighbours are close, as interpolation
+    needs."""
+    dots = np.sum(quaternions[1:] * quaternions[:-1], axis=1)
+    signs = np.cumprod(np.concatenate([[1.0], np.where(dots < 0.0, -1.0, 1.0)]))
+    return quaternions * signs[:, None]

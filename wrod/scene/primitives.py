@@ -3,6 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from wrod.rods.rotation import one_hemisphere
+
 _MATERIALS = "/World/Materials"
 
 
@@ -45,11 +47,8 @@ def set_pose(prim, poses: np.ndarray, times=None) -> None:
 
     poses = np.asarray(poses, dtype=np.float64).reshape(-1, 4, 4)
     translations = poses[:, :3, 3]
-    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()  # x, y, z, w
-    flips = np.cumprod(
-        np.r_[1.0, np.where((quaternions[1:] * quaternions[:-1]).sum(1) < 0, -1.0, 1.0)]
-    )
-    quaternions *= flips[:, None]  # readers interpolate: neighbours must not take the long way
+    # Readers interpolate: neighbours must not take the long way.
+    quaternions = one_hemisphere(Rotation.from_matrix(poses[:, :3, :3]).as_quat())  # x, y, z, w
     xform = UsdGeom.Xformable(prim)
 
     def write(op, values, make):
