@@ -348,6 +348,7 @@ def indices(value: Any) -> str | None:
 callback = like("a function", "__call__")
 
 
+_ROD = like("a wrod.RodMaterial or wrod.RodModel", "radius", "length", "gravito_bending_length")
 _BY_TYPE: dict[str, Check] = {
     "bool": flag,
     "str": text,
@@ -358,9 +359,8 @@ _BY_TYPE: dict[str, Check] = {
     "Model": like("a newton.Model", "body_q", "device", "shape_count"),
     "State": like("a newton.State", "body_q", "body_qd"),
     "RodBatch": like("a wrod.RodBatch", "rod_count", "node_count", "state"),
-    "RodModel | RodMaterial": like(
-        "a wrod.RodMaterial or wrod.RodModel", "radius", "length", "gravito_bending_length"
-    ),
+    "Rod": _ROD,
+    "RodModel | RodMaterial": _ROD,
     "Trajectory": like("a wrod.Trajectory", "arc_length", "position", "rotation"),
 }
 

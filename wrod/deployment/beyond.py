@@ -10,8 +10,7 @@ from wrod.deployment.trial import Trial
 from wrod.errors import RodError
 from wrod.planning.beyond import hanging, off_the_table
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 
 # Fewest edges that hang, and length of the held one [radii].
 _FEWEST, _HELD = 4, 0.25
@@ -33,9 +32,7 @@ def edges_beyond(trials: Sequence[Trial], spacing: float) -> int:
     return max(int(np.ceil(max(beyond) / spacing)), _FEWEST)
 
 
-def hung_beyond(
-    setup: Setup, rod: RodModel | RodMaterial, trajectory: Trajectory, edges: int
-) -> Setup:
+def hung_beyond(setup: Setup, rod: Rod, trajectory: Trajectory, edges: int) -> Setup:
     """The same deployment of the whole rod: what is beyond the grip hangs from it at rest, and
     where it comes down to the table lies on it.
 

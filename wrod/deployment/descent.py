@@ -34,8 +34,7 @@ from wrod.errors import PatternError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory, out_of_reach
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 
 # Cost of a correction of 1 L_gb along the whole path, and of its second differences, over that of
 # an error of 1 L_gb.
@@ -76,7 +75,7 @@ class TableTask:
     monotonic clock]."""
 
     pattern: Pattern
-    rod: RodModel | RodMaterial
+    rod: Rod
     trajectory: Trajectory
     friction: float | tuple[float, float] | Spread
     limits: Limits | None = None

@@ -10,19 +10,13 @@ from wrod.deployment.expectation import PACE
 from wrod.errors import GraspError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 
 # Length of the free end that is held at first [m], before which no correction changes.
 _HOLD = 0.05
 
 
-def distilled(
-    pattern: Pattern,
-    rod: RodModel | RodMaterial,
-    trajectory: Trajectory,
-    friction: float,
-) -> Trajectory:
+def distilled(pattern: Pattern, rod: Rod, trajectory: Trajectory, friction: float) -> Trajectory:
     """Correct a trajectory's positions for a table as `wrod.deployment.optimise` would.
 
     Args:
@@ -57,9 +51,7 @@ def distilled(
     return replace(corrected, metadata={**corrected.metadata, "distilled": said})
 
 
-def asked(
-    pattern: Pattern, rod: RodModel | RodMaterial, trajectory: Trajectory, friction: float
-) -> CorrectorInputs:
+def asked(pattern: Pattern, rod: Rod, trajectory: Trajectory, friction: float) -> CorrectorInputs:
     """What a corrector is asked about a trajectory."""
     lgb = rod.gravito_bending_length
     on = np.clip(trajectory.pattern_arc_length, -pattern.remainder_length, pattern.length)

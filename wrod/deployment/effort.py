@@ -8,8 +8,7 @@ from wrod.deployment.descent import paces
 from wrod.deployment.expectation import COARSE, COARSE_EDGE, JUDGING, JUDGING_EDGE, PACE, edged
 from wrod.deployment.spread import Spread, samples_of
 from wrod.patterns.pattern import Pattern
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 
 # Processor time of a node for each second of a rod's way [s]: with the derivatives by a path, and
 # where plans are judged; by how much a card is faster; and of looking on, by the squared length
@@ -31,7 +30,7 @@ _PATHS, _RODS, _HANGING = 2.2, 12, 30
 
 def corrected(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     friction: float | tuple[float, float] | Spread,
     *,
     pace: float | tuple[float, float] | None = None,
@@ -70,7 +69,7 @@ def corrected(
     return min(_DERIVED * steps * rods * coarse * way, most) + _JUDGED * _PATHS * _RODS * fine * way
 
 
-def way_time(pattern: Pattern, rod: RodModel | RodMaterial, pace: float) -> float:
+def way_time(pattern: Pattern, rod: Rod, pace: float) -> float:
     """How long the grip is on its way [s], to within a sixth."""
     lgb = rod.gravito_bending_length
     s = np.linspace(_HOLD - pattern.remainder_length, pattern.length, 2000)

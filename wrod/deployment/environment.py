@@ -26,8 +26,7 @@ from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.device import OnDevice, resolve_device
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 from wrod.rods.rotation import one_hemisphere
 from wrod.solvers.friction import Friction
 
@@ -95,7 +94,7 @@ class LayingVectorEnv(OnDevice, VectorEnv):
         self,
         num_envs: int,
         pattern: Pattern,
-        rod: RodModel | RodMaterial,
+        rod: Rod,
         plan: str | Trajectory = "auto",
         *,
         friction: tuple[float, float] = (0.2, 0.6),

@@ -18,8 +18,7 @@ from wrod.deployment.together import Asked, Course, follow
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 from wrod.solvers.friction import Friction
 
 # How rods are laid where plans are made, where these are judged, and where what lies is compared
@@ -50,7 +49,7 @@ _SURE = 1.0
 
 def expect(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     trajectory: Trajectory,
     friction: float | tuple[float, float] | Spread,
     *,
@@ -86,7 +85,7 @@ def expect(
 
 def foresee(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     trajectory: Trajectory,
     friction: float | tuple[float, float] | None = None,
     *,
@@ -102,7 +101,7 @@ def foresee(
 
 def expecting(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     trajectories: list[Trajectory],
     friction: float | tuple[float, float] | Spread,
     trials: int = _UNSEEN,
@@ -118,11 +117,7 @@ def expecting(
 
 
 def rougher(
-    pattern: Pattern,
-    rod: RodModel | RodMaterial,
-    trajectories: list[Trajectory],
-    expected: dict,
-    pace: float = PACE,
+    pattern: Pattern, rod: Rod, trajectories: list[Trajectory], expected: dict, pace: float = PACE
 ) -> Course[list[float | None]]:
     """For each stretch of what `expect` says is "off", the least of a few larger frictions from
     which on the undisturbed rod stays within 5 mm there by one of these trajectories; None: none
@@ -158,7 +153,7 @@ class Unseen:
     """Disturbed rods by which plans of a pattern are judged, which no correction was made for."""
 
     pattern: Pattern
-    rods: list[RodModel | RodMaterial]
+    rods: list[Rod]
     frictions: np.ndarray
     disturbances: list[Disturbance]
     beside: np.ndarray
@@ -167,7 +162,7 @@ class Unseen:
     def of(
         cls,
         pattern: Pattern,
-        rod: RodModel | RodMaterial,
+        rod: Rod,
         friction: float | tuple[float, float] | Spread,
         count: int = _UNSEEN,
     ) -> Unseen:

@@ -12,8 +12,7 @@ from wrod.deployment.assembly import USUAL_DAMPING
 from wrod.patterns.curve import arc_length
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import directors_at_rest
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 from wrod.rods.state import node_positions
 from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import Dynamics
@@ -75,9 +74,7 @@ class Fall:
     rise: float
 
     @classmethod
-    def of(
-        cls, rod: RodModel | RodMaterial, shape: np.ndarray, until: float, friction: float
-    ) -> Fall | None:
+    def of(cls, rod: Rod, shape: np.ndarray, until: float, friction: float) -> Fall | None:
         """Simulate it; None where that does not converge.
 
         Args:

@@ -32,8 +32,7 @@ from wrod.deployment.spread import Spread, samples_of
 from wrod.deployment.together import Course, follow
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 
 # By which the sample has to lie better that nobody doubts it [m].
 _PLAIN = 1e-3
@@ -41,7 +40,7 @@ _PLAIN = 1e-3
 
 def optimise(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     trajectory: Trajectory,
     friction: float | tuple[float, float] | Spread,
     *,
@@ -100,7 +99,7 @@ def optimise(
 
 def optimise_rivals(
     rivals: Sequence[tuple[Pattern, Trajectory]],
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     friction: float | tuple[float, float] | Spread,
     *,
     limits: Limits | None = None,

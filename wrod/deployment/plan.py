@@ -16,8 +16,7 @@ from wrod.planning.plan import plan_grasps
 from wrod.planning.remainder import lead_ins, prepare
 from wrod.planning.sources import DISTILLED, check_method
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 
 if TYPE_CHECKING:
     from wrod.controller.controller import Controller
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
 )
 def plan(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     method: str = "auto",
     *,
     closure: str | None = None,

@@ -19,8 +19,7 @@ from wrod.errors import GraspError, WrodWarning
 from wrod.patterns.pattern import Pattern
 from wrod.planning.plan import plan_grasps
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 from wrod.rods.model_file import rod_as_json
 from wrod.rods.profile import Profile
 
@@ -29,7 +28,7 @@ _TRIALS = 4
 
 
 def expected_errors(
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     rivals: Sequence[tuple[Pattern, Trajectory]],
     friction: float | tuple[float, float] | None,
     *,
@@ -55,7 +54,7 @@ def expected_errors(
 
 
 def own_or_straight(
-    pattern: Pattern, rod: RodModel | RodMaterial, method: str, friction, how: dict[str, Any]
+    pattern: Pattern, rod: Rod, method: str, friction, how: dict[str, Any]
 ) -> Trajectory:
     """The plan of the rod or, where it cannot hang in all of its grasps and that of the same rod
     straightened is expected to lay it better, the latter, which says so.
@@ -89,7 +88,7 @@ def own_or_straight(
 
 
 def as_is_or_twisted(
-    pattern: Pattern, rod: RodModel | RodMaterial, own: Trajectory, friction, how: dict[str, Any]
+    pattern: Pattern, rod: Rod, own: Trajectory, friction, how: dict[str, Any]
 ) -> Trajectory:
     """The plan or, where its hand spins and that is expected to lie better, one whose grasps know
     the twist: a table that does not hold it lets the rod roll, and what hangs untwists.

@@ -20,8 +20,7 @@ from wrod.patterns.pattern import Pattern
 from wrod.planning.pace import TAIL_FASTER, GripPath
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 from wrod.rods.rotation import angle_about, carried, one_hemisphere, unit
 
 # The mesh stays fine for this long beyond what is laid, in L_gb: the boundary layer at the contact.
@@ -119,7 +118,7 @@ class Disturbance:
         return vectors @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def mesh(rod: RodModel | RodMaterial, laid: float, spacing: float, node_count: int | None = None):
+def mesh(rod: Rod, laid: float, spacing: float, node_count: int | None = None):
     """(node,) rest arc lengths: fine where the rod is laid or about to be, coarse beyond.
 
     With `node_count` the spacing is what gives that many nodes.
@@ -160,7 +159,7 @@ class Setup:
 
 def prepare_deployment(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     trajectory: Trajectory,
     arc_length: np.ndarray,
     tail: Tail,

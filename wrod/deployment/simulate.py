@@ -29,8 +29,7 @@ from wrod.planning.pace import PACES, USUAL_PACE
 from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.device import resolve_device
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 from wrod.rods.state import node_positions
 from wrod.solvers.compiling import compile_steps
 from wrod.solvers.friction import Friction, FrictionField
@@ -48,7 +47,7 @@ from wrod.solvers.recording import launching
 )
 def simulate_deployment(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     trajectory: Trajectory,
     friction: Friction | float = 0.6,
     *,

@@ -9,7 +9,7 @@ import numpy as np
 from wrod.deployment.setup import DEVIATIONS, Disturbance
 from wrod.deployment.table import friction_range
 from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 from wrod.rods.profile import Profile
 from wrod.solvers.friction import Friction
 
@@ -52,7 +52,7 @@ class Spread:
             return friction
         return cls(friction_range(friction))
 
-    def sample(self, count: int, rod: RodModel | RodMaterial) -> list[tuple]:
+    def sample(self, count: int, rod: Rod) -> list[tuple]:
         """(rod, friction, disturbance) of rods that cover it evenly, from low friction to high, in
         pairs that lie opposite each other: what errors answer linearly to then moves no plan."""
         low, high = self.friction
@@ -68,22 +68,22 @@ class Spread:
             out.append((held, Friction(mu), disturbance))
         return out
 
-    def unseen(self, count: int, rod: RodModel | RodMaterial) -> tuple[np.ndarray, np.ndarray]:
+    def unseen(self, count: int, rod: Rod) -> tuple[np.ndarray, np.ndarray]:
         """Friction (count,) from low to high, and the part (count,) of what is believed that a rod
         stretches by, which covers what may be in an order of its own."""
         shares = (_GOLDEN * np.arange(1, count + 1)) % 1.0
         least = self._least_stretch(rod)
         return np.linspace(*self.friction, count), least + (1.0 - least) * shares
 
-    def middle(self, rod: RodModel | RodMaterial) -> tuple[float, float]:
+    def middle(self, rod: Rod) -> tuple[float, float]:
         """Of what the friction and the part of the stretch may be."""
         return 0.5 * sum(self.friction), 0.5 * (self._least_stretch(rod) + 1.0)
 
-    def _least_stretch(self, rod: RodModel | RodMaterial) -> float:
+    def _least_stretch(self, rod: Rod) -> float:
         return self._stretches(rod, 2.0 * _LESS_STRETCH) if self.stretch else 1.0
 
     @staticmethod
-    def _stretches(rod: RodModel | RodMaterial, less: float) -> float:
+    def _stretches(rod: Rod, less: float) -> float:
         """The part of its stretch with which a rod that hangs is shorter by so much [L_gb]."""
         hanging = (rod.length / rod.gravito_bending_length) ** 2 / (4.0 * rod.stretch_ratio)
         return max(1.0 - less / hanging, _LEAST_STRETCH)
@@ -94,7 +94,7 @@ def samples_of(spread: Spread) -> int:
     return 4 if spread.friction[1] > _WIDE * spread.friction[0] else 2
 
 
-def stretching(rod: RodModel | RodMaterial, part: float) -> RodModel | RodMaterial:
+def stretching(rod: Rod, part: float) -> Rod:
     """A rod that stretches by that part of what this one does, with the same L_gb."""
     if isinstance(rod, RodMaterial):
         return replace(rod, radius=float(np.sqrt(part)) * rod.radius)

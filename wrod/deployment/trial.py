@@ -11,8 +11,7 @@ from wrod.planning.hold import as_held
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.records import checked_fields
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 from wrod.solvers.friction import Friction
 
 
@@ -34,7 +33,7 @@ class Trial:
     """
 
     pattern: Pattern
-    rod: RodModel | RodMaterial
+    rod: Rod
     trajectory: Trajectory
     friction: Friction
     disturbance: Disturbance = field(default_factory=Disturbance)

@@ -18,9 +18,9 @@ from wrod.grasps.remembering import History, in_order, solve_in_order
 from wrod.grasps.results import Grasps, rows, same_rows
 from wrod.records import brief, checked_fields
 from wrod.rods.device import resolve_device
-from wrod.rods.discretisation import Rod, mesh_arrays, models_of
+from wrod.rods.discretisation import mesh_arrays, models_of
 from wrod.rods.law import Linear
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 from wrod.solvers.recording import launching
 
 

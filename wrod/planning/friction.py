@@ -7,8 +7,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 
 
 @dataclass(frozen=True)
@@ -25,9 +24,7 @@ class FrictionBound:
 
 
 @arguments.checked(RodError, spacing=arguments.number(1e-5, 10.0))
-def friction_bound(
-    pattern: Pattern, rod: RodModel | RodMaterial, spacing: float = 0.001
-) -> FrictionBound:
+def friction_bound(pattern: Pattern, rod: Rod, spacing: float = 0.001) -> FrictionBound:
     """Static friction that holds the pattern: mu_s >= k_b ``|kappa''|`` / (rho A g).
 
     In the paper's L_gb this is 2 L_gb^3 ``|kappa''|``, whatever the density. Of a rod that varies,

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 
 # What hangs when the pattern is laid, and rod beyond the grip with less of which it is held at its
 # end [L_gb].
@@ -14,7 +13,7 @@ LEFT, _WORTH = 4.0, 1.0
 _SAME = 1e-6
 
 
-def held_near(pattern: Pattern, rod: RodModel | RodMaterial, left: float = LEFT):
+def held_near(pattern: Pattern, rod: Rod, left: float = LEFT):
     """The rod as a grip holds it that leaves no more of it hanging than it needs.
 
     What hangs, l long, is stretched by l^2 / (4 k_s L_gb), of which nobody knows much, and by as
@@ -34,7 +33,7 @@ def held_near(pattern: Pattern, rod: RodModel | RodMaterial, left: float = LEFT)
     return rod if needed > rod.length - _WORTH * lgb else replace(rod, length=needed)
 
 
-def as_held(trajectory: Trajectory, rod: RodModel | RodMaterial):
+def as_held(trajectory: Trajectory, rod: Rod):
     """The rod as far as the grip that moves along a trajectory, where it is as long as the whole
     one that this was planned for; any other, such as one that ends at the grip, as it is."""
     planned = trajectory.rod if trajectory.beyond_grip else None

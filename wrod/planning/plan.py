@@ -29,8 +29,7 @@ from wrod.planning.roll import held_twist, roll_angle, with_spin
 from wrod.planning.shapes import contact_frame, placed
 from wrod.planning.sources import SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 from wrod.rods.model_file import rod_as_json
 
 if TYPE_CHECKING:
@@ -47,7 +46,7 @@ _COURSE_POINTS = 2000
 
 def plan_grasps(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     method: str,
     *,
     closure: str | None,
@@ -160,7 +159,7 @@ def _contacts(pattern: Pattern, spacing: float) -> np.ndarray:
 
 def _trajectory(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     laid: np.ndarray,
     course: tuple[np.ndarray, np.ndarray, np.ndarray],
     poses: Grasps,
@@ -212,7 +211,7 @@ def _trajectory(
     )
 
 
-def favoured_closure(pattern: Pattern, rod: RodModel | RodMaterial) -> str:
+def favoured_closure(pattern: Pattern, rod: Rod) -> str:
     """The closure that lays such a pattern most accurately, whatever the table.
 
     "min_friction" where the pattern's largest curvature is over 0.4 / L_gb, "zero_tension"

@@ -7,8 +7,7 @@ import numpy as np
 from wrod.errors import PatternError, WrodWarning
 from wrod.patterns.pattern import Pattern
 from wrod.planning.sources import MIN_SUSPENDED_LENGTH
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 
 # A pattern whose beginning would spring off by more than this [L_gb], once let go on a table of
 # this friction, gets a remainder unless the caller decides: one that begins with a curvature of
@@ -25,9 +24,7 @@ _REMAINDER_TURN, _HELD_TURN = 0.8, 1.7
 _ANOTHER = 0.9
 
 
-def prepare(
-    pattern: Pattern, rod: RodModel | RodMaterial, remainder: bool | float | None
-) -> Pattern:
+def prepare(pattern: Pattern, rod: Rod, remainder: bool | float | None) -> Pattern:
     """The pattern with the remainder that `plan` lays before it, checked against the rod's length.
 
     Raises:
@@ -49,7 +46,7 @@ def prepare(
     return led
 
 
-def lead_ins(pattern: Pattern, rod: RodModel | RodMaterial) -> list[Pattern]:
+def lead_ins(pattern: Pattern, rod: Rod) -> list[Pattern]:
     """The pattern with the remainder that it has by default, none where its beginning stays, and
     with a shorter one by which it may lie better for all that the first holds.
 
@@ -82,7 +79,7 @@ def lead_ins(pattern: Pattern, rod: RodModel | RodMaterial) -> list[Pattern]:
     return [pattern.with_remainder(length) for length in lengths]
 
 
-def free_end(pattern: Pattern, rod: RodModel | RodMaterial) -> tuple[float, float]:
+def free_end(pattern: Pattern, rod: Rod) -> tuple[float, float]:
     """How far the pattern's first point is expected to spring off once it is let go on a table of
     friction 0.3 [L_gb], and the largest curvature of the stretch that does [1/m].
 
@@ -102,14 +99,14 @@ def free_end(pattern: Pattern, rod: RodModel | RodMaterial) -> tuple[float, floa
     return off / lgb, float(bend[: last + 1].max())
 
 
-def _beginning(pattern: Pattern, rod: RodModel | RodMaterial) -> tuple[np.ndarray, np.ndarray]:
+def _beginning(pattern: Pattern, rod: Rod) -> tuple[np.ndarray, np.ndarray]:
     """Arc length [m] and size of the curvature [1/m] of a pattern's first 6 L_gb."""
     longest = _BEGINNING * rod.gravito_bending_length
     s = np.linspace(0.0, min(longest, pattern.length), _BEGINNING_POINTS)
     return s, np.abs(pattern.sample(s)[2])
 
 
-def _remainder_length(pattern: Pattern, curvature: float, rod: RodModel | RodMaterial) -> float:
+def _remainder_length(pattern: Pattern, curvature: float, rod: Rod) -> float:
     """Length [m] over which the curvature grows from zero with little friction, or, if that is
     longer, from which on friction 0.3 holds the moment of every bend, see `free_end`."""
     lgb, gentle = rod.gravito_bending_length, _gentle_length(curvature, rod)
@@ -118,7 +115,7 @@ def _remainder_length(pattern: Pattern, curvature: float, rod: RodModel | RodMat
     return max(gentle, held) if 0.5 * curvature * held <= _HELD_TURN else gentle
 
 
-def _gentle_length(curvature: float, rod: RodModel | RodMaterial) -> float:
+def _gentle_length(curvature: float, rod: Rod) -> float:
     """Length [m] over which the curvature grows from zero with little friction.
 
     The quintic smoothstep has |kappa''| <= 10 / sqrt(3) kappa / length^2, and mu_s = 2 L_gb^3
@@ -129,7 +126,7 @@ def _gentle_length(curvature: float, rod: RodModel | RodMaterial) -> float:
     return float(min(gentle, 2.0 * _REMAINDER_TURN / curvature))
 
 
-def _refuse_long(pattern: Pattern, rod: RodModel | RodMaterial, spare: float) -> None:
+def _refuse_long(pattern: Pattern, rod: Rod, spare: float) -> None:
     total = pattern.length + pattern.remainder_length
     # The tolerance lets a remainder fill the spare length exactly.
     if total <= spare * (1.0 + 1e-9):

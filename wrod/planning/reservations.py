@@ -9,8 +9,7 @@ from wrod.grasps.mesh import WEIGHT
 from wrod.grasps.results import LIMITS, Grasps
 from wrod.patterns.pattern import Pattern
 from wrod.planning.sources import GraspInputs
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 
 # Stiffness of a rod's softest motion over weight per length by suspended length. A chain that hangs
 # without bending stiffness has (j_0 / 2)^2; optimal grasps have more, and one with a third of it
@@ -21,13 +20,13 @@ SMALL_STABILITY_MARGIN = CHAIN_MARGIN / 3.0
 _ANOTHER, _STRAYS = 1e-2, 1e-3
 
 
-def refuse_tight_bends(pattern: Pattern, rod: RodModel | RodMaterial) -> None:
+def refuse_tight_bends(pattern: Pattern, rod: Rod) -> None:
     at, curvature = pattern.sharpest()
     if abs(curvature) * rod.radius >= 1.0:
         raise _too_tight(pattern, curvature, at, f"the rod's own radius of {rod.radius:g} m")
 
 
-def refuse_unsolved_rod(rod: RodModel | RodMaterial) -> None:
+def refuse_unsolved_rod(rod: Rod) -> None:
     """Refuse rods of which more hangs than grasps are solved for, and ones too thick or thin."""
     longest = LIMITS["suspended_length"][1]
     lgb = rod.gravito_bending_length
@@ -49,9 +48,7 @@ def refuse_unsolved_rod(rod: RodModel | RodMaterial) -> None:
         )
 
 
-def refuse_unsolved_bends(
-    pattern: Pattern, rod: RodModel | RodMaterial, s: np.ndarray, curvature: np.ndarray
-) -> None:
+def refuse_unsolved_bends(pattern: Pattern, rod: Rod, s: np.ndarray, curvature: np.ndarray) -> None:
     """Refuse contacts s (T,) [m] where the curvature (T,) [1/m] is beyond what is solved."""
     most = LIMITS["curvature"][1]
     bound, worst = most / rod.gravito_bending_length, int(np.argmax(np.abs(curvature)))

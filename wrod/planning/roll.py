@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 from wrod.errors import GraspError, RodError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 
 WORDS = ("plane", "tilted", "up")
 # In the plane a rod that is strongly bent at rest is laid in waves that grow; raised by so much
@@ -18,9 +17,7 @@ TILT = float(np.radians(30.0))
 _FOLDS, _CONTACTS = 1.0, 8
 
 
-def roll_angle(
-    roll: float | str | None, pattern: Pattern, rod: RodModel | RodMaterial, known: bool = False
-) -> float:
+def roll_angle(roll: float | str | None, pattern: Pattern, rod: Rod, known: bool = False) -> float:
     """The roll [rad] that `plan`'s words mean, None being "tilted" for rods whose departures grow
     when they are laid in the plane, and "plane" for others. A rod that is straight at rest gets the
     softer of its principal directions upwards, or 0 where it has none.
@@ -50,7 +47,7 @@ def roll_angle(
     return left + np.pi - tilt if turning < -1e-3 else left + tilt
 
 
-def _waves(pattern: Pattern, rod: RodModel | RodMaterial, roll: float) -> bool:
+def _waves(pattern: Pattern, rod: Rod, roll: float) -> bool:
     """Whether small departures grow by more than `_FOLDS` e-folds on a straight stretch as long as
     the pattern, or nobody can say."""
     from wrod.grasps.rod_grasps import solve_rod_grasps  # Warp: plans by a network need none
@@ -87,7 +84,7 @@ def read_roll(text: str | None, rod) -> float | str | None:
     return roll
 
 
-def with_spin(trajectory: Trajectory, rod: RodModel | RodMaterial, spin: float) -> Trajectory:
+def with_spin(trajectory: Trajectory, rod: Rod, spin: float) -> Trajectory:
     """The trajectory with a hand that turns about the rod besides, by `spin` [rad] in all, evenly
     over the laid length.
 
@@ -121,7 +118,7 @@ def held_twist(length: float, laid: np.ndarray, spin: float) -> np.ndarray:
     return spin / laid[-1] * np.log(length / (length - laid))
 
 
-def _softer_upwards(rod: RodModel | RodMaterial) -> float:
+def _softer_upwards(rod: Rod) -> float:
     """The roll that turns a straight rod's softer principal direction upwards, where it bends most;
     the other way round the suspended rod rolls towards it and takes the laid one along."""
     model = RodModel.of(rod)

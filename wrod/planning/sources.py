@@ -14,8 +14,7 @@ from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.mesh import MIRROR, MIRROR_ROTATION
 from wrod.grasps.results import Grasps
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 
 if TYPE_CHECKING:
     from wrod.controller.controller import Controller
@@ -51,7 +50,7 @@ class GraspInputs:
     @classmethod
     def of(
         cls,
-        rod: RodModel | RodMaterial,
+        rod: Rod,
         suspended: np.ndarray,
         curvature: np.ndarray,
         *,

@@ -14,8 +14,7 @@ from wrod.planning.hold import as_held
 from wrod.planning.shapes import course_of
 from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 
 _SPACING = 0.01  # [m]
 # Length over which a tail straightens after a pattern that ends in a bend, in L_gb.
@@ -43,12 +42,7 @@ class Tail:
         return cls(path.arc_length[-1:], path.contact[-1:], path.position[-1:], path.rotation[-1:])
 
 
-def tail(
-    pattern: Pattern | None,
-    rod: RodModel | RodMaterial,
-    trajectory: Trajectory,
-    shapes: bool = False,
-) -> Tail:
+def tail(pattern: Pattern | None, rod: Rod, trajectory: Trajectory, shapes: bool = False) -> Tail:
     """The tail is laid by the same method along the pattern's end tangent, after a bend that
     straightens out.
 

@@ -21,8 +21,7 @@ from wrod.files import (
     write_npz,
 )
 from wrod.records import brief, freeze, plain
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 from wrod.rods.model_file import rod_of_json
 
 _FORMAT = "wrod-trajectory-1"
@@ -96,7 +95,7 @@ class Trajectory:
         return len(self.arc_length)
 
     @property
-    def rod(self) -> RodModel | RodMaterial | None:
+    def rod(self) -> Rod | None:
         """The rod that was planned for, as far as the grip; None where `metadata` does not say."""
         content = self.metadata.get("rod")
         return rod_of_json(content) if isinstance(content, dict) else None

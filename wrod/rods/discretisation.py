@@ -16,10 +16,9 @@ import numpy as np
 from wrod.errors import RodError
 from wrod.rods.law import Softening
 from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 from wrod.rods.rotation import carried, unit
 
-Rod = RodModel | RodMaterial
 # Powers of the free share that quantities go with, each component's where they differ.
 _BY_SHARE: dict[str, int | list[int]] = {
     "bending_stiffness": -1, "twisting_stiffness": -1, "coupling": -1, "natural_curvature": 1,

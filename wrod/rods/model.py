@@ -333,3 +333,7 @@ class RodModel(RodTransformations):
         own."""
         plain = isinstance(self.law, Linear) and not self.point_masses and self._untwisted
         return plain and self.is_isotropic and not self.varies
+
+
+# What is asked for wherever a rod is.
+Rod = RodModel | RodMaterial
