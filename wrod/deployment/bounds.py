@@ -13,14 +13,6 @@ _LONGEST_MOVE, _LONGEST_EDGE = 0.05, 3.0
 _SAME_PATTERN, _SAME_ROD = 2e-3, 0.01
 
 
-def check_pace(speed: float, hold: float, release: float) -> None:
-    if not (np.isfinite(speed) and speed > 0):
-        raise RodError(f"speed is {speed!r}; give a positive finite number")
-    if not (np.isfinite(hold) and hold >= 0):
-        raise RodError(f"hold is {hold!r}; give a length in metres, or 0 for a free end")
-    check_release(hold, release)
-
-
 def check_release(hold: float, release: float) -> None:
     if not release >= hold:
         raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")

@@ -7,6 +7,7 @@ from scipy.interpolate import BSpline
 
 from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
+from wrod.planning.shapes import contact_frame, led_along
 from wrod.planning.trajectory import Trajectory
 
 # Spacing of the knots of the corrections [L_gb].
@@ -33,9 +34,7 @@ class Corrections:
         last = min(last, float(s[-1]))
         on = (s if laid is None else laid) - trajectory.remainder_length
         on = np.clip(on, -pattern.remainder_length, pattern.length)
-        tangent = pattern.sample(on)[1]
-        up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
-        self.frame = np.stack([tangent, np.cross(up, tangent), up], axis=-1)
+        self.frame = contact_frame(pattern.sample(on)[1])
         pieces = max(int(np.ceil((last - first) / (_KNOTS * lgb))), 2)
         inner = np.linspace(first, last, pieces + 1)
         knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
@@ -75,14 +74,11 @@ def moved(trajectory: Trajectory, displacement: np.ndarray) -> Trajectory:
     """The trajectory with positions displaced by (T, 3) [m], and the shapes of its rod with them;
     the forces of its grasps no longer hold."""
     shape = trajectory.shape
-    if shape is not None:
-        share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
-        shape = shape + share[None, :, None] * displacement[:, None]
     return replace(
         trajectory,
         position=trajectory.position + displacement,
         force=np.full_like(trajectory.force, np.nan),
-        shape=shape,
+        shape=None if shape is None else led_along(shape, displacement),
         metadata={**trajectory.metadata, "contact_friction": None},
     )
 

@@ -13,14 +13,12 @@ from scipy.optimize import brentq
 from wrod.deployment.corrections import Corrections
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.expectation import (
-    COARSE,
-    COARSE_EDGE,
-    JUDGING,
-    JUDGING_EDGE,
     PACE,
     Unseen,
     balanced,
-    edged,
+    coarse_mesh,
+    distances,
+    judging_mesh,
     misplacement,
 )
 from wrod.deployment.remembered import LastDeployments
@@ -197,8 +195,7 @@ class Problem:
         trials = self._sample(values, end)
         columns = self.corrections.columns()[fixed:, : len(trials[0].trajectory)]
         directions = [Directions.of_path(columns)] * self.samples
-        mesh = edged(COARSE, COARSE_EDGE * self.corrections.lgb)
-        asked = self._meshed(trials, directions, mesh)
+        asked = self._meshed(trials, directions, coarse_mesh(self.corrections.lgb))
         return (yield replace(asked, remembered=self.remembered) if fixed else asked)
 
     def fixed(self, before: float) -> int:
@@ -251,20 +248,20 @@ class Problem:
         task, corrections = self.task, self.corrections
         unseen = Unseen.of(task.pattern, task.rod, self.spread)
         each = [self._sample(x) + unseen.laid_by(corrections.apply(x)) for x in points]
-        mesh = edged(JUDGING, JUDGING_EDGE * corrections.lgb)
-        laid = yield self._meshed([trial for one in each for trial in one], None, mesh)
+        trials = [trial for one in each for trial in one]
+        laid = yield self._meshed(trials, None, judging_mesh(corrections.lgb))
         out = []
         for x in points:
             own, rest = laid[: self.samples], laid[self.samples : len(each[0])]
             laid = laid[len(each[0]) :]
-            errors = [np.hypot(*misplacement(task.pattern, o)[0].reshape(2, -1)) for o in own]
             told = unseen.told(rest)
             measure = expected_error(told)
             if task.limits is not None:
                 excess, _ = task.limits.excess(corrections.displacement(x))
                 measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
             lost = told["diverged"] + int(out_of_reach(corrections.apply(x)).sum())
-            out.append(Tried(x, float(np.mean(errors)), (lost, measure), told))
+            error = float(distances(task.pattern, own).mean())
+            out.append(Tried(x, error, (lost, measure), told))
         return out
 
     def _meshed(self, trials: list[Trial], directions, mesh: Discretisation) -> Asked:

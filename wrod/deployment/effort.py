@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from wrod.deployment.descent import paces
-from wrod.deployment.expectation import COARSE, COARSE_EDGE, JUDGING, JUDGING_EDGE, PACE, edged
+from wrod.deployment.expectation import PACE, coarse_mesh, judging_mesh
 from wrod.deployment.spread import Spread, samples_of
 from wrod.patterns.pattern import Pattern
 from wrod.rods.model import Rod
@@ -61,10 +61,7 @@ def corrected(
     rods = samples_of(spread)
     steps = _STEPS + _MORE * min(turned, _MOST) if turned < _FAR[rods] else _BEND_BY_BEND
     laid = s[-1] - s[0]
-    coarse, fine = (
-        laid / edged(mesh, edge * lgb).spacing + _HANGING
-        for mesh, edge in ((COARSE, COARSE_EDGE), (JUDGING, JUDGING_EDGE))
-    )
+    coarse, fine = (laid / mesh(lgb).spacing + _HANGING for mesh in (coarse_mesh, judging_mesh))
     way = way_time(pattern, rod, pace or PACE) / (1.0 if device == "cpu" else _CARD)
     return min(_DERIVED * steps * rods * coarse * way, most) + _JUDGED * _PATHS * _RODS * fine * way
 

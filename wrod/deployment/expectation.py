@@ -32,7 +32,7 @@ FINE = Discretisation(spacing=0.005, step=0.02)
 # Speed of the contact [m/s].
 PACE = 0.04
 # Largest edges of the first two [L_gb]: a correction must not be for what a coarse mesh does.
-COARSE_EDGE, JUDGING_EDGE = 1.0 / 3.0, 1.0 / 4.5
+_COARSE_EDGE, _JUDGING_EDGE = 1.0 / 3.0, 1.0 / 4.5
 # Disturbed rods that are laid by the finished plan, none of which the optimisation has seen.
 _UNSEEN = 10
 # Friction of a table that nobody measured, and rods that are laid on such tables.
@@ -110,8 +110,8 @@ def expecting(
 ) -> Course[list[dict]]:
     """`expect` of several trajectories of a pattern, with the same disturbed rods for all."""
     unseen = Unseen.of(pattern, rod, friction, trials)
-    mesh, edge = (COARSE, COARSE_EDGE) if coarse else (JUDGING, JUDGING_EDGE)
-    how = {"discretisation": edged(mesh, edge * rod.gravito_bending_length), "speed": pace}
+    lgb = rod.gravito_bending_length
+    how = {"discretisation": coarse_mesh(lgb) if coarse else judging_mesh(lgb), "speed": pace}
     laid = yield Asked([one for t in trajectories for one in unseen.laid_by(t)], None, how)
     return [unseen.told(laid[first : first + trials]) for first in range(0, len(laid), trials)]
 
@@ -132,10 +132,9 @@ def rougher(
         for path in trajectories
         for mu in mus.tolist()
     ]
-    mesh = edged(COARSE, COARSE_EDGE * rod.gravito_bending_length)
-    how = {"discretisation": mesh, "speed": pace}
+    how = {"discretisation": coarse_mesh(rod.gravito_bending_length), "speed": pace}
     laid = yield Asked(trials, None, how)
-    error = np.array([np.hypot(*misplacement(pattern, one)[0].reshape(2, -1)) for one in laid])
+    error = distances(pattern, laid)
     error[[one.diverged for one in laid]] = np.inf
     error = error.reshape(len(trajectories), len(mus), -1)
     s = np.linspace(0.0, pattern.length, METRIC_POINTS)
@@ -143,8 +142,7 @@ def rougher(
     for (start, stop, _), asked in zip(expected["off"], lost, strict=True):
         inside = (s >= start) & (s <= stop)
         bad = (error[..., inside] > _OFF).any(axis=2).all(axis=0)
-        first = int(np.flatnonzero(bad)[-1]) + 1 if bad.any() else 0
-        out.append(float(mus[first]) if asked and first < len(mus) else None)
+        out.append(_holds_from(mus, bad) if asked else None)
     return out
 
 
@@ -186,7 +184,7 @@ class Unseen:
     def told(self, laid: list[Laid]) -> dict:
         """What `expect` says of a trajectory by which they lie like this."""
         pattern, mus = self.pattern, self.frictions
-        error = np.array([np.hypot(*misplacement(pattern, one)[0].reshape(2, -1)) for one in laid])
+        error = distances(pattern, laid)
         own = np.array(
             [
                 _robot_errors(pattern, one.arc_length, one.centerline, disturbance)
@@ -194,17 +192,12 @@ class Unseen:
             ]
         )
         s = np.linspace(0.0, pattern.length, METRIC_POINTS)
-        slid = np.array(
-            [np.interp(s + pattern.remainder_length, x.arc_length, x.slip) for x in laid]
-        )
-        bad = np.flatnonzero((own > _OFF).any(axis=1))
-        good = int(bad[-1]) + 1 if len(bad) else 0
-        off = []
-        for start, stop in _stretches(s, np.any(own > _OFF, axis=0)):
-            inside = (s >= start) & (s <= stop)
-            bad = (own[:, inside] > _OFF).any(axis=1)
-            last = int(np.flatnonzero(bad)[-1])
-            off.append([start, stop, float(mus[last + 1]) if last + 1 < len(mus) else None])
+        slid = [np.interp(s + pattern.remainder_length, x.arc_length, x.slip) > _SLID for x in laid]
+        bad = own > _OFF
+        off = [
+            [start, stop, _holds_from(mus, bad[:, (s >= start) & (s <= stop)].any(axis=1))]
+            for start, stop in _stretches(s, bad.any(axis=0))
+        ]
         means = error.mean(axis=1)
         return {
             "friction": mus.tolist(),
@@ -213,9 +206,9 @@ class Unseen:
             "beside": self.beside.tolist(),
             "mean": float(means.mean()),
             "deviation": float(means.std()),
-            "slides": _stretches(s, np.mean(slid > _SLID, axis=0) >= 0.5),
+            "slides": _stretches(s, np.mean(slid, axis=0) >= 0.5),
             "off": off,
-            "holds_from": float(mus[good]) if good < len(mus) else None,
+            "holds_from": _holds_from(mus, bad.any(axis=1)),
             "error_along": error.mean(axis=0).tolist(),
             "diverged": int(sum(one.diverged for one in laid)),
         }
@@ -263,9 +256,20 @@ def _robot_errors(
     return np.hypot(*(lies - target)[:, :2].T)
 
 
-def edged(mesh: Discretisation, longest: float) -> Discretisation:
-    """With edges of at most that length [m]."""
-    return replace(mesh, spacing=min(mesh.spacing, longest))
+def coarse_mesh(lgb: float) -> Discretisation:
+    """By which plans of a rod of that L_gb [m] are made."""
+    return replace(COARSE, spacing=min(COARSE.spacing, _COARSE_EDGE * lgb))
+
+
+def judging_mesh(lgb: float) -> Discretisation:
+    """By which they are judged."""
+    return replace(JUDGING, spacing=min(JUDGING.spacing, _JUDGING_EDGE * lgb))
+
+
+def _holds_from(frictions: np.ndarray, bad: np.ndarray) -> float | None:
+    """The least of some frictions, ascending, from which on none is bad; None: there is none."""
+    first = int(np.flatnonzero(bad)[-1]) + 1 if bad.any() else 0
+    return float(frictions[first]) if first < len(frictions) else None
 
 
 def _stretches(s: np.ndarray, chosen: np.ndarray) -> list[list[float]]:
@@ -284,3 +288,8 @@ def misplacement(pattern: Pattern, laid: Laid) -> tuple[np.ndarray, np.ndarray]:
     error = (weights @ laid.centerline[:, :2] - target).T.ravel()
     rates = np.einsum("pn,cnd->dpc", weights, laid.tangent[:, :, :2])
     return error, rates.reshape(2 * len(s), -1)
+
+
+def distances(pattern: Pattern, laid: list[Laid]) -> np.ndarray:
+    """(rod, 50) horizontal distances of what lies from the points of the metric [m]."""
+    return np.array([np.hypot(*misplacement(pattern, one)[0].reshape(2, -1)) for one in laid])

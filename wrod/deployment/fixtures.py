@@ -54,10 +54,13 @@ class Fixture:
     @property
     def top(self) -> float:
         """Height of its upper end above the table [m]."""
-        half = (
-            self.shape.half_height if isinstance(self.shape, Cylinder) else self.shape.half_size[2]
-        )
-        return self.shape.center[2] + half
+        return self.shape.center[2] + self._half
+
+    @property
+    def _half(self) -> float:
+        """Of its height [m]."""
+        shape = self.shape
+        return shape.half_height if isinstance(shape, Cylinder) else shape.half_size[2]
 
     @property
     def yaw(self) -> float:
@@ -210,23 +213,13 @@ class Fixtures:
         for item in self.items:
             shape = item.shape
             x, y, z = (float(v) for v in shape.center)
+            what: dict = {"center": [x, y, round(z - item._half, 9)]}
             if isinstance(shape, Cylinder):
-                what = {
-                    "cylinder": {
-                        "center": [x, y, round(z - shape.half_height, 9)],
-                        "radius": shape.radius,
-                        "height": 2 * shape.half_height,
-                    }
-                }
+                kind, what["radius"], what["height"] = "cylinder", shape.radius, 2 * item._half
             else:
-                what = {
-                    "box": {
-                        "center": [x, y, round(z - shape.half_size[2], 9)],
-                        "size": [2 * v for v in shape.half_size],
-                        "yaw": math.degrees(item.yaw),
-                    }
-                }
-            entries.append({"name": item.name, **what})
+                kind, what["size"] = "box", [2 * v for v in shape.half_size]
+                what["yaw"] = math.degrees(item.yaw)
+            entries.append({"name": item.name, kind: what})
 
         def write(file):
             note = {"note": self.note} if self.note else {}

@@ -10,7 +10,7 @@ from wrod import arguments
 from wrod.deployment.assembly import assemble
 from wrod.deployment.beyond import edges_beyond, hung_beyond
 from wrod.deployment.bounds import (
-    check_pace,
+    check_release,
     refuse_another_pattern,
     refuse_another_rod,
     refuse_coarse_edges,
@@ -26,6 +26,7 @@ from wrod.errors import RodError
 from wrod.kernels.stepping import pace
 from wrod.patterns.pattern import Pattern
 from wrod.planning.pace import PACES, USUAL_PACE
+from wrod.planning.shapes import with_remainder_of
 from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.device import resolve_device
@@ -138,7 +139,7 @@ def simulate_deployments(
         progress: called with the fraction done since the last call, of all trials.
     """
     hold, release = float(hold), float(hold if release is None else release)
-    check_pace(speed, hold, release)
+    check_release(hold, release)
     if not trials:
         return []
     device = resolve_device(device)
@@ -169,15 +170,6 @@ def nodes_needed(trials: list[Trial], spacing: float, laid: float | None = None)
     """Nodes for edges of that length [m] where each rod is laid, or where `laid` [m] of it are."""
     refuse_coarse_edges([t.rod for t in trials], spacing)
     return max(len(mesh(t.rod, laid or t.trajectory.arc_length[-1], spacing)) for t in trials)
-
-
-@arguments.checked(RodError)
-def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
-    """The pattern with the remainder that the trajectory lays before it."""
-    length = trajectory.remainder_length
-    if length > 0.0 and pattern.remainder_length == 0.0:
-        return pattern.with_remainder(length)
-    return pattern
 
 
 def refuse_other_plans(trial: Trial) -> None:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from wrod.deployment.corrections import Corrections
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import with_tail
-from wrod.planning.trajectory import Trajectory
+from wrod.planning.trajectory import Trajectory, part_of
 
 # Over how long a way the grip turns round, and how far apart its new poses are [m].
 _TURN, _SPACING = 0.01, 0.005
@@ -42,7 +42,7 @@ class GripWay:
     def until(self, gone: float) -> GripWay:
         """Its beginning, up to that length [m]."""
         n = int(np.searchsorted(self.path.arc_length, gone, side="right"))
-        return GripWay(_part(self.path, slice(0, n)), self.laid[:n])
+        return GripWay(part_of(self.path, slice(0, n)), self.laid[:n])
 
     def laid_at(self, gone: float) -> float:
         """Laid length [m] where so much of the way is gone."""
@@ -92,13 +92,3 @@ class GripWay:
             twist=None,
         )
         return GripWay(path, np.concatenate([self.laid[:n], s])), float(start + turn)
-
-
-def _part(trajectory: Trajectory, chosen: slice) -> Trajectory:
-    names = ("arc_length", "contact", "position", "rotation", "force", "shape", "twist")
-    cut = {
-        name: getattr(trajectory, name)[chosen]
-        for name in names
-        if getattr(trajectory, name) is not None
-    }
-    return replace(trajectory, **cut)

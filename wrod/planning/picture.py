@@ -10,7 +10,7 @@ from wrod.errors import PatternError
 from wrod.files import write_figure
 from wrod.files.pictures import FAINT, INK, MUTED, dress
 from wrod.patterns.pattern import Pattern
-from wrod.planning.shapes import as_laid
+from wrod.planning.shapes import with_remainder_of
 from wrod.planning.trajectory import Trajectory
 
 _PATTERN, _REMAINDER, _ROD = "#0b5fa5", "#7fb0d8", "#d9822b"
@@ -165,7 +165,7 @@ def _draw_above(axes, trajectory: Trajectory, shapes: np.ndarray | None) -> None
 def _draw_profiles(bends, heights, pattern: Pattern, trajectory: Trajectory) -> None:
     remainder = trajectory.remainder_length
     s = trajectory.arc_length
-    curvature = as_laid(pattern, trajectory).sample(trajectory.pattern_arc_length)[2]
+    curvature = with_remainder_of(pattern, trajectory).sample(trajectory.pattern_arc_length)[2]
     bends.axhline(0.0, color=FAINT, lw=0.8)
     bends.plot(s, curvature, color=_PATTERN, lw=1.6)
     bends.set_ylabel("curvature [1/m]", fontsize=8.5)

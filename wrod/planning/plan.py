@@ -65,8 +65,6 @@ def plan_grasps(
     which checks the arguments first, and corrects the trajectory for a table. `twisted`: grasps by
     the rod solver of a uniform rod that the table holds as the spin twists it.
     """
-    if method not in SOURCES:
-        raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
     if device not in (None, "auto", "cpu"):  # a controller would not notice
         from wrod.rods.device import resolve_device
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from wrod import arguments
-from wrod.errors import GraspError, WrodWarning
+from wrod.errors import GraspError, RodError, WrodWarning
 from wrod.patterns.pattern import Pattern
 from wrod.planning.reservations import refuse_unconverged
 from wrod.planning.sources import SOURCES, GraspInputs
@@ -66,9 +66,8 @@ def with_shapes(
         warnings.warn(f"the rod's shapes are left out: {error}", WrodWarning, stacklevel=2)
         return trajectory
     shape = placed(poses.shape, trajectory.contact, frame, lgb)
-    # What is left, of the controller, the mesh and corrections, fades out towards the contact.
-    share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
-    shape += share[None, :, None] * (trajectory.position - shape[:, -1])[:, None]
+    # What is left is of the controller, the mesh and corrections.
+    shape = led_along(shape, trajectory.position - shape[:, -1])
     said = {"shapes": {"method": "numeric", "largest_grip_difference": apart}}
     metadata = {**trajectory.metadata, **({} if corrected else said)}
     return replace(trajectory, shape=shape, metadata=metadata)
@@ -79,7 +78,7 @@ def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray
     own = course_of(trajectory)
     if pattern is None:
         return own
-    s, pattern = trajectory.pattern_arc_length, as_laid(pattern, trajectory)
+    s, pattern = trajectory.pattern_arc_length, with_remainder_of(pattern, trajectory)
     contact, tangent, bent = pattern.sample(np.clip(s, -pattern.remainder_length, pattern.length))
     laid = np.abs(contact - trajectory.contact).max() < 1e-6
     return (tangent, bent) if laid else own
@@ -94,7 +93,8 @@ def course_of(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     return forward / speed[:, None], curvature
 
 
-def as_laid(pattern: Pattern, trajectory: Trajectory) -> Pattern:
+@arguments.checked(RodError)
+def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
     """The pattern with the remainder that the trajectory lays before it."""
     if pattern.remainder_length == 0.0 and trajectory.remainder_length > 0.0:
         return pattern.with_remainder(trajectory.remainder_length)
@@ -110,3 +110,10 @@ def contact_frame(tangent: np.ndarray) -> np.ndarray:
 def placed(points: np.ndarray, contact: np.ndarray, frame: np.ndarray, lgb: float) -> np.ndarray:
     """(T, n, 3) points on the table [m] from those in contact frames [L_gb]."""
     return contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, points)
+
+
+def led_along(shape: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """Shapes (T, n, 3) whose grips are displaced by (T, 3), and the rest of them less and less
+    towards the contact [m]."""
+    share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
+    return shape + share[None, :, None] * displacement[:, None]

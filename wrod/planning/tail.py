@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
 from wrod.planning.hold import as_held
-from wrod.planning.shapes import course_of
+from wrod.planning.shapes import course_of, led_along, placed
 from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.model import Rod
@@ -64,27 +65,21 @@ def tail(pattern: Pattern | None, rod: Rod, trajectory: Trajectory, shapes: bool
     corner, tangent, bend = _end(pattern, trajectory)
     ease = smoothstep(s / (_STRAIGHTEN * lgb))
     curvature = bend * (1.0 - ease)
-    heading = np.arctan2(tangent[1], tangent[0]) + _integrate(curvature, s)
+    turned = cumulative_trapezoid(curvature, s, initial=0.0)
+    heading = np.arctan2(tangent[1], tangent[0]) + turned
     frame = Rotation.from_euler("z", heading[:, None]).as_matrix()
-    contact = corner + np.column_stack(
-        [_integrate(np.cos(heading), s), _integrate(np.sin(heading), s), np.zeros(count)]
-    )
+    ahead = np.column_stack([np.cos(heading), np.sin(heading), np.zeros(count)])
+    contact = corner + cumulative_trapezoid(ahead, s, axis=0, initial=0.0)
     method = trajectory.method or "numeric"
     if method == "neural":
         method = "auto"  # a tail is shorter in the end than what the controller was trained for
     if shapes:
         method = "numeric"
-    poses = SOURCES[method](
-        GraspInputs.of(
-            rod,
-            rod.length - start - s,
-            curvature,
-            roll=trajectory.roll,
-            closure=trajectory.closure or "zero_tension",
-            device="cpu",
-            eigenvalues=False,
-        )
-    )
+    inputs = GraspInputs.of(
+        rod, rod.length - start - s, curvature, roll=trajectory.roll,
+        closure=trajectory.closure or "zero_tension", device="cpu", eigenvalues=False,
+    )  # fmt: skip
+    poses = SOURCES[method](inputs)
     position = contact + lgb * np.einsum("tij,tj->ti", frame, poses.position)
     spun = Rotation.from_rotvec([trajectory.spin, 0.0, 0.0])  # and no further
     rotation = frame @ (Rotation.from_rotvec(poses.rotation) * spun).as_matrix()
@@ -95,9 +90,7 @@ def tail(pattern: Pattern | None, rod: Rod, trajectory: Trajectory, shapes: bool
     rotation = Rotation.from_rotvec((1.0 - ease)[:, None] * turn).as_matrix() @ rotation
     shape = None
     if shapes:
-        shape = contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, poses.shape)
-        share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
-        shape += share[None, :, None] * (position - grip)[:, None]
+        shape = led_along(placed(poses.shape, contact, frame, lgb), position - grip)
     good = np.isfinite(position).all(axis=1)
     if poses.converged is not None:
         good &= poses.converged
@@ -159,8 +152,3 @@ def _end(pattern: Pattern | None, trajectory: Trajectory) -> tuple[np.ndarray, n
         return corner, tangent, bend
     tangent, curvature = course_of(trajectory)
     return trajectory.contact[-1], tangent[-1], float(curvature[-1])
-
-
-def _integrate(values: np.ndarray, s: np.ndarray) -> np.ndarray:
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(s)
-    return np.concatenate([[0.0], np.cumsum(steps)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,8 @@ _ARRAYS = (
     "arc_length", "contact", "position", "rotation", "force", "roll", "beyond_grip", "shape",
     "twist",
 )  # fmt: skip
+# Of every node.
+_ROWS = [name for name in _ARRAYS if name not in ("roll", "beyond_grip")]
 # A grip jumps where it goes so many times as far for the rod that it lays as two poses before and
 # after; plans of sharp bends, and of few poses, come to 6. None of what is shorter is a jump [m],
 # and a grip that hardly moves beside it counts as one that goes as far as the contact. Fewer ways
@@ -203,6 +205,12 @@ class Trajectory:
         _refuse_jumps(loaded, path)
         _refuse_out_of_reach(loaded, path)
         return loaded
+
+
+def part_of(trajectory: Trajectory, nodes: slice | np.ndarray) -> Trajectory:
+    """The trajectory at some of its nodes."""
+    rows = {name: getattr(trajectory, name) for name in _ROWS}
+    return replace(trajectory, **{k: v[nodes] for k, v in rows.items() if v is not None})
 
 
 def out_of_reach(trajectory: Trajectory) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 
 from wrod.planning.pace import TAIL_FASTER
 from wrod.planning.tail import with_tail
+from wrod.planning.trajectory import part_of
 from wrod.robot.attempt import ArmTask
 from wrod.robot.grip import TravelledPath
 from wrod.robot.joint_path import JointPath
@@ -87,16 +88,7 @@ def _followed(path: JointPath, task: ArmTask, begin: float, end: float) -> LaidT
     time = np.arange(np.ceil(timing.duration * rate) + 1) / rate
     travel, speed = timing.travel(time)
     laid = task.path.arc_length(travel)
-    nodes = task.trajectory.arc_length < laid[-1] + 1e-9
-    cut = task.trajectory
-    cut = replace(
-        cut,
-        **{
-            name: value[nodes]
-            for name in ("arc_length", "contact", "position", "rotation", "force", "shape", "twist")
-            if (value := getattr(cut, name)) is not None
-        },
-    )
+    cut = part_of(task.trajectory, task.trajectory.arc_length < laid[-1] + 1e-9)
     return LaidTail(
         spline(travel),
         spline(travel, 1) * speed[:, None],
