@@ -16,7 +16,7 @@ from wrod.robot.grip import Grip
 from wrod.robot.kinematics import grasp_poses
 from wrod.robot.model import load_robot
 from wrod.robot.obstacles import Obstacles
-from wrod.robot.placement import Placement, candidates, contact_in_base, off_pedestal
+from wrod.robot.placement import Placement, candidates, off_pedestal
 from wrod.robot.urdf import read_urdf
 from wrod.robot.variation import _UNITS, _Freedom
 from wrod.scene.workplace import table_under
@@ -272,7 +272,7 @@ def test_no_place_is_varied_into_what_the_arm_stands_on(line):
     place = candidates(line, arm, 1)[0]
     keeps_off = off_pedestal(arm, line, place.z)
     assert all(map(keeps_off, candidates(line, arm, heights=(place.z,))))
-    middle = contact_in_base(line, place)[len(line.contact) // 2]
+    middle = place.to_base(line.contact)[len(line.contact) // 2]
     onto = arm.mount[:2, 3] - middle[:2]  # the line's middle onto the arm's axis
     assert not keeps_off(replace(place, x=place.x + onto[0], y=place.y + onto[1]))
     task = SimpleNamespace(robot=arm, trajectory=line, free_height=False)

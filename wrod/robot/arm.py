@@ -36,8 +36,7 @@ class Arm:
         return self._in_table(*self.model.points(self._frames(positions)))
 
     def _in_table(self, start, end) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        base = self.base
-        start, end = (p.numpy() @ base[:3, :3].T + base[:3, 3] for p in (start, end))
+        start, end = (self.placement.to_world(p.numpy()) for p in (start, end))
         return start, end, self.model.radius
 
     def _frames(self, positions: np.ndarray):
@@ -91,10 +90,8 @@ class Arm:
 
     def in_base(self, capsules):
         """Another arm's capsules, given in the table's frame, in this arm's base."""
-        to_base = self.placement.base_from_world
         start, end, radius = capsules
-        rotated = [p @ to_base[:3, :3].T + to_base[:3, 3] for p in (start, end)]
-        return *rotated, radius
+        return self.placement.to_base(start), self.placement.to_base(end), radius
 
 
 def gap_between(one, other) -> np.ndarray:

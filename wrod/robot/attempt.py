@@ -15,7 +15,7 @@ from wrod.robot.collision import CollisionModel
 from wrod.robot.grip import Grip, TravelledPath, grasp_targets
 from wrod.robot.knots import COARSEST, joint_spline
 from wrod.robot.model import Robot
-from wrod.robot.placement import Placement, contact_in_base, off_pedestal
+from wrod.robot.placement import Placement, off_pedestal
 from wrod.robot.redundancy import GAP_ROOM, Surroundings, gaps, improve
 from wrod.robot.report import PathReport, inspect
 from wrod.robot.search import Branch, find_branches, follow_from
@@ -160,25 +160,20 @@ class ArmTask:
         # Points of the laid rod a few millimetres apart are enough for gaps of that size.
         arc = self.trajectory.arc_length
         stride = max(1, int(_LAID * (len(self.path) - 1) / max(arc[-1] - arc[0], 1e-9)))
-        contact = contact_in_base(self.trajectory, placement)[::stride]
+        contact = placement.to_base(self.trajectory.contact)[::stride]
         laid = np.searchsorted(self.path.travel[::stride], travel + 1e-12, side="right")
         other = None
         if self.obstacles is not None:
             start, end, radius = self.obstacles
-            count = len(travel)
-            other = (
-                np.broadcast_to(start, (count, *start.shape)).copy(),
-                np.broadcast_to(end, (count, *end.shape)).copy(),
-                radius,
-            )
+            start, end = (np.repeat(ends[None], len(travel), axis=0) for ends in (start, end))
+            other = start, end, radius
         hanging = None
         if self._hanging is not None:
             node = np.interp(travel, self.path.travel, np.arange(len(self.path)))
             low = np.minimum(node.astype(int), len(self.path) - 2)
             share = (node - low)[:, None, None]
             points = (1 - share) * self._hanging[low] + share * self._hanging[low + 1]
-            pose = placement.base_from_world
-            hanging = points @ pose[:3, :3].T + pose[:3, 3]
+            hanging = placement.to_base(points)
         return Surroundings(placement.z, contact, laid, self.rod_radius, other, "obstacle", hanging)
 
     def finish(self, branch: Branch, improved: bool = False) -> Solution:

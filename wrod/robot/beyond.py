@@ -40,8 +40,7 @@ def met_at(
     with torch.no_grad():
         q = torch.from_numpy(positions[beyond.nodes])
         start, end = model.points(model.robot.chain.forward_kinematics_tensor(q))
-        base = placement.base_from_world
-        rod = torch.from_numpy(beyond.shape @ base[:3, :3].T + base[:3, 3])
+        rod = torch.from_numpy(placement.to_base(beyond.shape))
         gap = segment_distance(
             start[:, :, None], end[:, :, None], rod[:, None, :-1], rod[:, None, 1:]
         ).numpy()

@@ -22,7 +22,7 @@ def capsules_of(shape: LinkShape) -> list[Capsule]:
         RobotError: a mesh that cannot be read.
     """
     if shape.kind == "mesh":
-        local = mesh_capsules(shape)
+        local = _mesh_capsules(shape.mesh, shape.size, shape.mesh.stat().st_mtime_ns)
         turn, at = shape.pose[:3, :3], shape.pose[:3, 3]
         return [(turn @ start + at, turn @ end + at, radius) for start, end, radius in local]
     if shape.kind == "sphere":
@@ -38,13 +38,9 @@ def capsules_of(shape: LinkShape) -> list[Capsule]:
     return [(shape.pose[:3, 3] - offset, shape.pose[:3, 3] + offset, float(radius))]
 
 
-def mesh_capsules(shape: LinkShape) -> list[Capsule]:
-    """Capsules that together contain a mesh, cut into slabs along its longest direction."""
-    return _mesh_capsules(shape.mesh, shape.size, shape.mesh.stat().st_mtime_ns)
-
-
 @lru_cache(maxsize=128)
 def _mesh_capsules(path, scale: tuple[float, ...], stamp: int) -> list[Capsule]:
+    """Capsules that together contain a mesh, cut into slabs along its longest direction."""
     vertices, faces = read_mesh(path)
     points = vertices[np.unique(faces)] * np.array(scale)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])

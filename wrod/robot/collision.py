@@ -18,8 +18,6 @@ from wrod.robot.model import Robot
 from wrod.scenes.gripper import LINKS as GRIPPER
 
 if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
-
     import torch
 
 _MOST_EXACT = 4000  # distances between true shapes in one report
@@ -76,11 +74,9 @@ class CollisionModel:
         self.radius = np.array([c[2] for c in capsules])
         self.anchors = [self._anchor(link) for link in self.links]
         self._frame = [robot.chain.frame_to_idx[a] for a in self.anchors]
-        self._start = np.array(
-            [self._in_anchor(link, c[0]) for link, c in zip(self.links, capsules, strict=True)]
-        )
-        self._end = np.array(
-            [self._in_anchor(link, c[1]) for link, c in zip(self.links, capsules, strict=True)]
+        self._start, self._end = (
+            np.array(list(map(self._in_anchor, self.links, ends)))
+            for ends in list(zip(*capsules, strict=True))[:2]
         )
         depth = self._depths()
         self.depth = np.array([depth[a] for a in self.anchors])
@@ -90,17 +86,11 @@ class CollisionModel:
         self.moving = np.flatnonzero(self.depth >= 1)
         self.before_hand = np.flatnonzero((self.depth >= 2) & (self.depth < len(robot.joint_names)))
 
-    def _parents(self) -> dict[str, tuple[str, Element]]:
-        return {
-            j.find("child").get("link"): (j.find("parent").get("link"), j)
-            for j in self.robot.urdf.joints
-        }
-
     def _anchor(self, link: str) -> str:
         """The link itself, or the nearest one above it on the chain that is planned."""
-        parents = self._parents()
+        above = self.robot.urdf.above
         while link not in self.robot.chain.frame_to_idx:
-            link = parents[link][0]
+            link = above[link][0]
         return link
 
     def _in_anchor(self, link: str, point: np.ndarray) -> np.ndarray:
@@ -113,14 +103,12 @@ class CollisionModel:
 
     def _depths(self) -> dict[str, int]:
         """Moving joints between the base and each link of the chain."""
-        parents, depths = self._parents(), {}
-        for link in self.robot.chain.frame_to_idx:
-            above, count = link, 0
-            while above in parents:
-                above, joint = parents[above]
-                count += joint.find("child").get("link") in self.robot.chain.frame_to_idx and (
-                    joint.get("name") in self.robot.joint_names
-                )
+        above, depths, chain = self.robot.urdf.above, {}, self.robot.chain.frame_to_idx
+        for link in chain:
+            at, count = link, 0
+            while at in above:
+                below, (at, joint) = at, above[at]
+                count += below in chain and joint.get("name") in self.robot.joint_names
             depths[link] = count
         return depths
 

@@ -18,13 +18,13 @@ from wrod.errors import RobotError
 from wrod.robot.arm import ARM_ROOM, LINK_ROOM, Arm, gap_between
 from wrod.robot.attempt import ArmTask, hanging_rod
 from wrod.robot.joint_path import JointPath
-from wrod.robot.kinematics import refine, solve_poses
-from wrod.robot.placement import contact_in_base, foot, reach
+from wrod.robot.kinematics import grasp_poses, refine, solve_poses
+from wrod.robot.placement import foot, reach
 from wrod.robot.stand import stands, stays
 from wrod.robot.tail import LaidTail, tails
 from wrod.robot.timing import Course, gently, schedule
 from wrod.robot.transfers import Hand
-from wrod.robot.transit import Leg, Transit, find_way
+from wrod.robot.transit import Leg, Transit, find_way, reaching_down, seeds
 
 # Where the hand may wait: distance from the arm's axis and height over the base as shares of the
 # arm's reach, bearing off the pattern [degrees].
@@ -163,22 +163,20 @@ def neutral_poses(arm: Arm, task: ArmTask, first, last, around: list) -> np.ndar
     """
     _, far = reach(task.robot)
     mount = foot(task.robot)
-    contact = contact_in_base(task.trajectory, arm.placement).mean(0) - mount
+    contact = arm.placement.to_base(task.trajectory.contact).mean(0) - mount
     ahead = np.append(contact[:2] / max(np.linalg.norm(contact[:2]), 1e-9), 0.0)
     poses = []
     for out, up, bearing in product(_OUT, _UP, _BEARINGS):
         along = Rotation.from_euler("z", bearing, degrees=True).apply(ahead)
         pose = np.eye(4)
-        pose[:3, :3] = np.column_stack([np.cross(along, [0, 0, -1.0]), along, [0, 0, -1.0]])
+        pose[:3, :3] = reaching_down(along)
         pose[:3, 3] = mount + out * far * along
         pose[2, 3] = max(mount[2] + up * far, arm.placement.z + 0.2)
         poses.append(pose)
-    lower, upper = np.maximum(arm.robot.lower, -np.pi), np.minimum(arm.robot.upper, np.pi)
-    seeds = np.random.default_rng(3).uniform(0.8 * lower, 0.8 * upper, (_SEEDS, len(lower)))
-    starts = np.vstack([first, last, seeds])
+    starts = np.vstack([first, last, seeds(arm.robot, _SEEDS)])
     found, _ = solve_poses(arm.robot, np.array(poses), starts)
     found, missed = refine(
-        arm.robot, found.reshape(-1, len(lower)), np.repeat(poses, len(starts), axis=0)
+        arm.robot, found.reshape(-1, len(first)), np.repeat(poses, len(starts), axis=0)
     )
     q = found[np.abs(missed).max(1) < 1e-4]
     # Whole turns bring a joint nearer to where the path begins, where its limits allow them.
@@ -213,10 +211,9 @@ def _around(arm: Arm, task: ArmTask, node: int, stand: list | None = None):
         ends.append(points[1:])
         radii.append(np.full(len(points) - 1, task.rod_radius))
     if task.obstacles is not None:
-        base = arm.base
         start, end, radius = task.obstacles
-        starts.append(start @ base[:3, :3].T + base[:3, 3])
-        ends.append(end @ base[:3, :3].T + base[:3, 3])
+        starts.append(arm.placement.to_world(start))
+        ends.append(arm.placement.to_world(end))
         radii.append(radius)
     if not starts:
         return None
@@ -229,22 +226,18 @@ def _played(phase: str, robot, way: Transit, rate: float, laid: float) -> list[_
 
 
 def _timed(robot, leg: Leg, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    import torch
-
-    from wrod.robot.kinematics import grasp_poses
-
     straight = len(leg.knots) == 2
+
+    def curve(at: np.ndarray):
+        return make_interp_spline(at, leg.knots, k=1) if straight else CubicSpline(at, leg.knots)
+
     places = np.linspace(0.0, 1.0, len(leg.knots))
-    curve = make_interp_spline(places, leg.knots, k=1) if straight else None
-    curve = CubicSpline(places, leg.knots) if curve is None else curve
-    with torch.no_grad():
-        hand = grasp_poses(robot, curve(np.linspace(0.0, 1.0, 20)))[:, :3, 3]
+    hand = grasp_poses(robot, curve(places)(np.linspace(0.0, 1.0, 20)))[:, :3, 3]
     length = float(np.linalg.norm(np.diff(hand, axis=0), axis=1).sum())
     # A turn on the spot takes its time too: a radian of a joint counts for 10 cm.
     length = max(length, 0.1 * float(np.abs(np.diff(leg.knots, axis=0)).sum(0).max()), 1e-4)
     speed = _BESIDE_ROD if not straight else _IN_AIR
-    x = places * length
-    spline = make_interp_spline(x, leg.knots, k=1) if straight else CubicSpline(x, leg.knots)
+    spline = curve(places * length)
     timing = schedule(robot, Course(spline, length), speed, gently)
     time = np.arange(np.ceil(timing.duration * rate) + 1) / rate
     travel, pace = timing.travel(time)

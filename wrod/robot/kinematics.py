@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import sparse
 
 from wrod.robot.model import Robot
 
@@ -85,12 +86,17 @@ def null_projection(jacobian: torch.Tensor, vector: torch.Tensor) -> torch.Tenso
     return vector - (jacobian.mT @ solved).squeeze(-1)
 
 
-def null_basis(jacobian: torch.Tensor) -> torch.Tensor:
-    """Orthonormal basis (B, n, n - 6) of the motions that leave the grasp where it is."""
+def free_motions(robot: Robot, positions: np.ndarray) -> sparse.csc_matrix:
+    """(B n, B (n - 6)) orthonormal motions of joints (B, n) that leave every grasp where it is."""
     import torch
 
-    _, _, right = torch.linalg.svd(jacobian, full_matrices=True)
-    return right[:, 6:, :].mT
+    with torch.no_grad():
+        jacobian = robot.jacobian(torch.from_numpy(positions))[0]
+        _, _, right = torch.linalg.svd(jacobian, full_matrices=True)
+    count, joints = positions.shape
+    if joints == 6:
+        return sparse.csc_matrix((6 * count, 0))
+    return sparse.block_diag(list(right[:, 6:, :].mT.numpy()), format="csc")
 
 
 def manipulability(jacobian: torch.Tensor) -> torch.Tensor:

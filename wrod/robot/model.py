@@ -225,11 +225,8 @@ def _with_gripper(
             )
         return urdf, float("nan")
     wanted = gripper_model.GRIPPER_LENGTH if length is None else length
-    mount = next((j for j in urdf.joints if j.find("child").get("link") == "gripper"), None)
-    if flange is None and mount is not None:
-        flange = mount.find("parent").get("link")
     if flange is None:
-        flange = urdf.flange()
+        flange, _ = urdf.above.get("gripper") or (urdf.flange(), None)
     urdf.require_link(flange, "gripper's flange")
     beyond = urdf.beyond(flange)
     moved = sorted(beyond - set(gripper_model.LINKS))

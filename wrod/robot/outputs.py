@@ -5,11 +5,10 @@ import io
 import json
 import os
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import IO
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import RobotError, needed_extras
@@ -65,11 +64,9 @@ def export(path: JointPath, folder: str | os.PathLike[str], formats: list[str]) 
     }
     # All are made before any is written: nothing is left behind half.
     made = [(Path(folder) / FORMATS[name], writers[name](path)) for name in formats]
-    return [write_atomically(file, partial(_write, data), "wb") for file, data in made]
-
-
-def _write(data: bytes, file: IO[bytes]) -> None:
-    file.write(data)
+    return [
+        write_atomically(file, lambda out, data=data: out.write(data), "wb") for file, data in made
+    ]
 
 
 def suited(path: JointPath) -> list[str]:
@@ -230,26 +227,24 @@ def urscript(path: JointPath) -> str:
 
 def _table(path: JointPath, kind: str) -> str:
     """CSV: for libfranka every millisecond with velocities, for intera its own column names."""
+    if kind == "intera":
+        return _csv(["time", *path.names], np.column_stack([path.time, path.positions]))
+    if len(path.names) != 7:
+        raise RobotError(
+            f"libfranka moves arms of seven joints, and this one has {len(path.names)}; choose "
+            "another format"
+        )
+    curve = CubicHermiteSpline(path.time, path.positions, path.velocities)
+    time = np.round(np.arange(0.0, path.time[-1] + 5e-4, 1e-3), 6)
+    time = np.minimum(time, path.time[-1])
+    names = [f"q{k + 1}" for k in range(7)] + [f"dq{k + 1}" for k in range(7)]
+    return _csv(["time", *names], np.column_stack([time, curve(time), curve(time, 1)]))
+
+
+def _csv(head: list[str], rows: np.ndarray) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    if kind == "intera":
-        writer.writerow(["time", *path.names])
-        rows = np.column_stack([path.time, path.positions])
-    else:
-        if len(path.names) != 7:
-            raise RobotError(
-                f"libfranka moves arms of seven joints, and this one has {len(path.names)}; choose "
-                "another format"
-            )
-        from scipy.interpolate import CubicHermiteSpline
-
-        curve = CubicHermiteSpline(path.time, path.positions, path.velocities)
-        time = np.round(np.arange(0.0, path.time[-1] + 5e-4, 1e-3), 6)
-        time = np.minimum(time, path.time[-1])
-        names = [f"q{k + 1}" for k in range(7)] + [f"dq{k + 1}" for k in range(7)]
-        writer.writerow(["time", *names])
-        rows = np.column_stack([time, curve(time), curve(time, 1)])
-    writer.writerows([[f"{value:.9g}" for value in row] for row in rows])
+    writer.writerows([head, *([f"{value:.9g}" for value in row] for row in rows)])
     return text.getvalue()
 
 
@@ -262,8 +257,4 @@ def _poses(path: JointPath) -> str:
     poses = grasp_poses(path.robot, path.positions)
     turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     rows = np.column_stack([path.time, poses[:, :3, 3], one_hemisphere(turns)])
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["time [s]", "x [m]", "y [m]", "z [m]", "qx", "qy", "qz", "qw"])
-    writer.writerows([[f"{value:.9g}" for value in row] for row in rows])
-    return text.getvalue()
+    return _csv(["time [s]", "x [m]", "y [m]", "z [m]", "qx", "qy", "qz", "qw"], rows)

@@ -58,6 +58,16 @@ class Placement:
         """(4, 4) pose of the robot's base in the trajectory's frame."""
         return np.linalg.inv(self.base_from_world)
 
+    def to_base(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) of the trajectory's frame in the base frame [m]."""
+        pose = self.base_from_world
+        return points @ pose[:3, :3].T + pose[:3, 3]
+
+    def to_world(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) of the base frame in the trajectory's frame [m]."""
+        pose = self.world_from_base
+        return points @ pose[:3, :3].T + pose[:3, 3]
+
     def __str__(self) -> str:
         return (
             f"x {self.x:.3f} m, y {self.y:.3f} m, table {self.z:.3f} m, "
@@ -90,10 +100,8 @@ class Placement:
 def reach(robot: Robot) -> tuple[np.ndarray, float]:
     """Shoulder point in the base frame (3,) [m] and greatest distance of the grasp from it [m]."""
     frames = robot.link_poses(np.zeros(len(robot.joint_names)))
-    joints = {j.get("name"): j for j in robot.urdf.joints}
-    points = [
-        frames[joints[name].find("child").get("link")][0, :3, 3] for name in robot.joint_names
-    ]
+    moved = {joint.get("name"): link for link, (_, joint) in robot.urdf.above.items()}
+    points = [frames[moved[name]][0, :3, 3] for name in robot.joint_names]
     points.append(frames[robot.tip][0, :3, 3])
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return points[1], float(steps[1:].sum())
@@ -117,22 +125,13 @@ class Places(Protocol):
     def position(self) -> np.ndarray: ...
 
 
-def contact_in_base(trajectory: Places, placement: Placement) -> np.ndarray:
-    """(T, 3) contact points in the base frame [m]."""
-    pose = placement.base_from_world
-    return trajectory.contact @ pose[:3, :3].T + pose[:3, 3]
-
-
 def pedestal_clearance(robot: Robot, height: float) -> float:
     """Distance from the arm's axis at which a table begins whose top is at `height` [m]. What
     does not reach up to it, as the wide foot of a pedestal, stands under the table."""
     poses = robot.link_poses(np.zeros(len(robot.joint_names)))
-    fixed = {robot.base}
-    joints = [j for j in robot.urdf.joints if j.get("type") == "fixed"]
-    for _ in joints:
-        fixed |= {
-            j.find("child").get("link") for j in joints if j.find("parent").get("link") in fixed
-        }
+    fixed, above = {robot.base}, robot.urdf.above.items()
+    for _ in above:
+        fixed |= {x for x, (up, joint) in above if up in fixed and joint.get("type") == "fixed"}
     reach = 0.0
     for shape in robot.shapes("collision"):
         if shape.link in fixed:
@@ -150,7 +149,7 @@ def off_pedestal(robot: Robot, trajectory: Places, height: float) -> Callable[[P
     axis, clearance = foot(robot)[:2], pedestal_clearance(robot, height)
 
     def keeps_off(placement: Placement) -> bool:
-        out = contact_in_base(trajectory, placement)[:, :2] - axis
+        out = placement.to_base(trajectory.contact)[:, :2] - axis
         return bool(np.linalg.norm(out, axis=1).min() >= clearance)
 
     return keeps_off
@@ -185,12 +184,11 @@ def candidates(
         turned = Placement(0.0, 0.0, 0.0, yaw).base_from_world[:2, :2] @ middle
         x, y = float(mount[0] + radius - turned[0]), float(mount[1] + side - turned[1])
         placement = Placement(x, y, float(height), float(yaw))
-        out = contact_in_base(trajectory, placement)[:, :2] - mount[:2]
+        out = placement.to_base(trajectory.contact)[:, :2] - mount[:2]
         near, clearance = np.linalg.norm(out, axis=1).min(), clearances[height]
         if near < clearance + TABLE_MARGIN or out[:, 0].min() < clearance:
             continue
-        pose = placement.base_from_world
-        grip = trajectory.position @ pose[:3, :3].T + pose[:3, 3]
+        grip = placement.to_base(trajectory.position)
         distance = np.linalg.norm(grip - shoulder, axis=1) / far
         ranked.append((max(distance.max() - 0.62, 0.38 - distance.min()), placement))
     ranked.sort(key=lambda item: item[0])

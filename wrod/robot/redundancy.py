@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from wrod.robot.collision import CollisionModel, between
-from wrod.robot.kinematics import manipulability, null_basis, refine
+from wrod.robot.kinematics import free_motions, manipulability, refine
 from wrod.robot.model import Robot
 
 LIMIT_ROOM = 0.35  # [rad] joints are pushed to stay this far inside their limits
@@ -177,8 +177,6 @@ def improve(
         around: obstacles at the same samples.
         iterations: at most.
     """
-    import torch
-
     count, joints = positions.shape
     q, _ = refine(robot, positions, targets)
     if joints == 6:
@@ -186,9 +184,7 @@ def improve(
     cost = PathCost(robot, model, count)
     damping, value = 1.0, cost.total(q, around)
     for _ in range(iterations):
-        with torch.no_grad():
-            basis = null_basis(robot.jacobian(torch.from_numpy(q))[0]).numpy()
-        free = sparse.block_diag(list(basis), format="csc")
+        free = free_motions(robot, q)
         reduced = free.T @ cost.gradient(q, around)
         hessian = (free.T @ cost.smooth @ free).tocsc()
         gained = False

@@ -74,12 +74,11 @@ def draw_reach(path, failed: UnreachedError):
     from matplotlib.figure import Figure
 
     from wrod.files import write_figure
-    from wrod.robot.placement import contact_in_base, reach
+    from wrod.robot.placement import reach
 
     task, best = failed.task, failed.best
-    pose = best.branch.placement.base_from_world
-    contact = contact_in_base(task.trajectory, best.branch.placement)
-    grip = task.trajectory.position @ pose[:3, :3].T + pose[:3, 3]
+    place = best.branch.placement
+    contact, grip = place.to_base(task.trajectory.contact), place.to_base(task.trajectory.position)
     missed = np.interp(task.path.travel, task.travel, best.branch.miss)
     shoulder, far = reach(task.robot)
     figure = Figure(figsize=(11.0, 5.2), layout="constrained")
@@ -92,9 +91,9 @@ def draw_reach(path, failed: UnreachedError):
                 shoulder[b] + share * far * np.sin(angle),
                 style, color="0.6", lw=1.0,
             )  # fmt: skip
-        shown = [c for c in failed.places if c != best.branch.placement]
-        for place in shown[:12] if k == 0 else []:
-            other = contact_in_base(task.trajectory, place)
+        shown = [other for other in failed.places if other != place]
+        for elsewhere in shown[:12] if k == 0 else []:
+            other = elsewhere.to_base(task.trajectory.contact)
             axes.plot(other[:, a], other[:, b], color="0.85", lw=0.8)
         axes.plot(contact[:, a], contact[:, b], color="tab:blue", lw=2.0, label="pattern")
         marks = axes.scatter(

@@ -86,9 +86,8 @@ def follow_targets(
     index = np.flatnonzero(good)
     if len(index) == 0:
         index = np.arange(count)
-    positions, miss = _follow(robot, q[index], goals[index], middle)
-    excess = np.maximum(positions - robot.upper, robot.lower - positions).max(-1)
-    return [(int(i) // seeds, positions[k], miss[k], excess[k]) for k, i in enumerate(index)]
+    rows = zip(*_follow(robot, q[index], goals[index], middle), strict=True)
+    return [(int(i) // seeds, *row) for i, row in zip(index, rows, strict=True)]
 
 
 def follow_from(
@@ -99,9 +98,8 @@ def follow_from(
     Args, Returns: see `follow_targets`; `start` is near the ways' middles.
     """
     middle = targets.shape[1] // 2
-    positions, miss = _follow(robot, np.tile(start, (len(targets), 1)), targets, middle)
-    excess = np.maximum(positions - robot.upper, robot.lower - positions).max(-1)
-    return [(way, positions[way], miss[way], excess[way]) for way in range(len(targets))]
+    found = _follow(robot, np.tile(start, (len(targets), 1)), targets, middle)
+    return list(zip(range(len(targets)), *found, strict=True))
 
 
 def _ranges(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +123,7 @@ def _follow(robot: Robot, start: np.ndarray, targets: np.ndarray, middle: int):
         targets: (B, K, 4, 4).
 
     Returns:
-        positions (B, K, n) and miss (B, K) as in `Branch`.
+        positions (B, K, n), miss and excess (B, K) as in `Branch`.
     """
     import torch
 
@@ -156,4 +154,5 @@ def _follow(robot: Robot, start: np.ndarray, targets: np.ndarray, middle: int):
             q = centre_q
             for k in order:
                 q = settle(q, k, 2)
-    return positions.numpy(), miss.numpy()
+    excess = np.maximum(positions.numpy() - robot.upper, robot.lower - positions.numpy()).max(-1)
+    return positions.numpy(), miss.numpy(), excess

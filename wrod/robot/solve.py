@@ -115,8 +115,6 @@ def solve_joint_path(
             node, what fails there and by how much.
     """
     started = clock.perf_counter()
-    if not (math.isfinite(rate) and rate > 0):
-        raise RobotError(f"rate is {rate!r}; give a positive number of samples per second")
     angles = _angles(grip_angle)
     fixed = None if _is_auto(placement) else Placement.parse(placement)
     if fixed is not None and table_height is not None:

@@ -117,8 +117,38 @@ class HandFollower:
         return TransferPath(self.transfer, grasp, refine(arm.robot, start, goals)[0])
 
     def check(self, path: TransferPath) -> tuple[float, str | None]:
-        """By how much a path fails, 0 if it does not, and how."""
-        return _check(self.arm, path, self.interval, self.other)
+        """By how much a path fails, 0 if it does not, and how; a miss counts most."""
+        q, arm, first = path.positions, self.arm, path.transfer.first
+        robot, reached = arm.robot, arm.grasps(q)
+        wanted = path.grasp.targets(path.transfer)
+        off = np.linalg.norm(reached[:, :3, 3] - wanted[:, :3, 3], axis=1)
+        turn = Rotation.from_matrix(reached[:, :3, :3].mT @ wanted[:, :3, :3]).magnitude()
+        miss = np.hypot(off, TURN_LENGTH * turn)
+        if miss.max() > _REACHED:
+            k = int(miss.argmax())
+            return 100.0 + miss[k], (
+                f"the grasp is out of reach at frame {first + k}: the nearest pose found "
+                f"is {1e3 * off[k]:.1f} mm and {np.degrees(turn[k]):.1f} degrees away"
+            )
+        room = np.minimum(q - robot.lower, robot.upper - q)
+        if room.min() < LIMIT_MARGIN:
+            k, joint = np.unravel_index(room.argmin(), room.shape)
+            return 10.0 - room.min(), (
+                f"joint {robot.joint_names[joint]} comes within {room.min():.3f} rad of its limit "
+                f"at frame {first + k}"
+            )
+        if len(q) > 1:
+            load = np.abs(np.diff(q, axis=0)) / (robot.velocity * self.interval[:, None])
+            if load.max() > 1.0:
+                k, joint = np.unravel_index(load.argmax(), load.shape)
+                return 5.0 + load.max(), (
+                    f"joint {robot.joint_names[joint]} would have to turn {load.max():.1f} times "
+                    f"as fast as it can after frame {first + k}"
+                )
+        short, what = arm.problem(*with_middles(q, self.other))
+        if what is not None:
+            what += f" between frames {first} and {path.transfer.last}"
+        return short, what
 
     def refusal(self, what: str) -> RobotError:
         over = self.transfer
@@ -189,38 +219,3 @@ def follow_both(
 
 def _at(other, frames):
     return None if other is None else (other[0][frames], other[1][frames], other[2])
-
-
-def _check(arm: Arm, path: TransferPath, interval: np.ndarray, other) -> tuple[float, str | None]:
-    """By how much a path fails, and how; a miss counts most."""
-    q, robot = path.positions, arm.robot
-    reached = arm.grasps(q)
-    wanted = path.grasp.targets(path.transfer)
-    off = np.linalg.norm(reached[:, :3, 3] - wanted[:, :3, 3], axis=1)
-    turn = Rotation.from_matrix(reached[:, :3, :3].mT @ wanted[:, :3, :3]).magnitude()
-    miss = np.hypot(off, TURN_LENGTH * turn)
-    if miss.max() > _REACHED:
-        k = int(miss.argmax())
-        return 100.0 + miss[k], (
-            f"the grasp is out of reach at frame {path.transfer.first + k}: the nearest pose found "
-            f"is {1e3 * off[k]:.1f} mm and {np.degrees(turn[k]):.1f} degrees away"
-        )
-    room = np.minimum(q - robot.lower, robot.upper - q)
-    if room.min() < LIMIT_MARGIN:
-        k, joint = np.unravel_index(room.argmin(), room.shape)
-        return 10.0 - room.min(), (
-            f"joint {robot.joint_names[joint]} comes within {room.min():.3f} rad of its limit at "
-            f"frame {path.transfer.first + k}"
-        )
-    if len(q) > 1:
-        load = np.abs(np.diff(q, axis=0)) / (robot.velocity * interval[:, None])
-        if load.max() > 1.0:
-            k, joint = np.unravel_index(load.argmax(), load.shape)
-            return 5.0 + load.max(), (
-                f"joint {robot.joint_names[joint]} would have to turn {load.max():.1f} times as "
-                f"fast as it can after frame {path.transfer.first + k}"
-            )
-    short, what = arm.problem(*with_middles(q, other))
-    if what is not None:
-        what += f" between frames {path.transfer.first} and {path.transfer.last}"
-    return short, what

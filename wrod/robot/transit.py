@@ -11,6 +11,7 @@ from wrod.errors import RobotError
 from wrod.patterns.curve import smoothstep
 from wrod.robot.arm import Arm
 from wrod.robot.kinematics import refine, solve_poses
+from wrod.robot.model import Robot
 
 BACK = 0.06  # [m] a hand moves back along its fingers before it goes elsewhere
 _SHORTER = (0.045, 0.03)  # [m] where it cannot; pads end 25 mm behind the rod's end
@@ -86,6 +87,18 @@ def _timed(arm: Arm, knots: np.ndarray, speed: float = _HAND_SPEED) -> Leg:
     return Leg(knots, float(max(fast, hard, step * (len(hand) - 1) / speed, 0.2)))
 
 
+def reaching_down(along: np.ndarray) -> np.ndarray:
+    """(3, 3) of a hand over the table whose fingers close along a horizontal direction (3,)."""
+    down = [0.0, 0.0, -1.0]
+    return np.column_stack([np.cross(along, down), along, down])
+
+
+def seeds(robot: Robot, count: int) -> np.ndarray:
+    """(count, n) joint positions [rad] from which such a hand is sought, the same each time."""
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    return np.random.default_rng(3).uniform(0.8 * lower, 0.8 * upper, (count, len(lower)))
+
+
 def park(arm: Arm, middle: np.ndarray) -> np.ndarray:
     """(n,) joint positions where an arm waits: turned aside, hand down, drawn back from the table.
 
@@ -101,11 +114,9 @@ def park(arm: Arm, middle: np.ndarray) -> np.ndarray:
     poses = np.tile(np.eye(4), (len(_PARKED), 1, 1))
     for pose, (reach, height, off) in zip(poses, _PARKED, strict=True):
         along = Rotation.from_euler("z", off, degrees=True).apply(ahead)
-        pose[:3, :3] = np.column_stack([np.cross(along, [0.0, 0.0, -1.0]), along, [0.0, 0.0, -1.0]])
+        pose[:3, :3] = reaching_down(along)
         pose[:3, 3] = reach * along + [*mount, arm.placement.z + height]
-    lower, upper = np.maximum(arm.robot.lower, -np.pi), np.minimum(arm.robot.upper, np.pi)
-    seeds = np.random.default_rng(3).uniform(0.8 * lower, 0.8 * upper, (_SEEDS, len(lower)))
-    found, reached = solve_poses(arm.robot, poses, seeds)
+    found, reached = solve_poses(arm.robot, poses, seeds(arm.robot, _SEEDS))
     room = np.minimum(found - arm.robot.lower, arm.robot.upper - found).min(-1)
     choice, seed = np.nonzero(reached & (room > 0.15))
     q = found[choice, seed]

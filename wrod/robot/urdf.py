@@ -71,10 +71,15 @@ class UrdfFile:
         return self.root.findall("joint")
 
     @property
+    def above(self) -> dict[str, tuple[str, ElementTree.Element]]:
+        """Of each link but the first, the link that it hangs from, and the joint between them."""
+        return {j.find("child").get("link"): (j.find("parent").get("link"), j) for j in self.joints}
+
+    @property
     def base_link(self) -> str:
         """The one link that is no joint's child."""
-        children = {joint.find("child").get("link") for joint in self.joints}
-        return next(name for name in self.links if name not in children)
+        above = self.above
+        return next(name for name in self.links if name not in above)
 
     def require_link(self, name: str, role: str) -> None:
         if name not in self.links:
@@ -89,11 +94,8 @@ class UrdfFile:
         is one.
         """
         parent = {
-            j.find("child").get("link"): (
-                j.find("parent").get("link"),
-                "finger" if _is_finger(j) else j.get("type"),
-            )
-            for j in self.joints
+            link: (above, "finger" if _is_finger(joint) else joint.get("type"))
+            for link, (above, joint) in self.above.items()
         }
 
         def turns(link: str) -> int:
@@ -120,10 +122,10 @@ class UrdfFile:
         """(3,) direction in which a gripper points from a flange, in its frame: +z, which frames of
         their own have by convention, or the axis of the joint that turns it, towards what the file
         hangs on it."""
-        turning = [j for j in self.joints if j.find("child").get("link") == flange]
-        if not turning or turning[0].get("type") not in ("revolute", "continuous"):
+        _, turning = self.above.get(flange, ("", None))
+        if turning is None or turning.get("type") not in ("revolute", "continuous"):
             return np.array([0.0, 0.0, 1.0])
-        element = turning[0].find("axis")
+        element = turning.find("axis")
         axis = np.array(_floats("1 0 0" if element is None else element.get("xyz", "1 0 0")))
         axis = axis / max(np.linalg.norm(axis), 1e-12)
         hung = [j for j in self.joints if j.find("parent").get("link") == flange]
@@ -134,14 +136,10 @@ class UrdfFile:
 
     def beyond(self, link: str) -> set[str]:
         """All links that hang from a link."""
-        found, queue = set(), [link]
+        above, found, queue = self.above, set(), [link]
         while queue:
-            above = queue.pop()
-            below = [
-                j.find("child").get("link")
-                for j in self.joints
-                if j.find("parent").get("link") == above
-            ]
+            at = queue.pop()
+            below = [child for child, (parent, _) in above.items() if parent == at]
             found |= set(below)
             queue += below
         return found

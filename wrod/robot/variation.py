@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 from wrod.robot.attempt import ArmTask
 from wrod.robot.grip import Grip
-from wrod.robot.kinematics import null_basis, refine
+from wrod.robot.kinematics import free_motions, refine
 from wrod.robot.placement import off_pedestal
 from wrod.robot.redundancy import PathCost
 from wrod.robot.search import Branch
@@ -65,8 +65,6 @@ def vary(task: ArmTask, branch: Branch, fixed: bool) -> Branch:
     Args:
         fixed: the place must stay.
     """
-    import torch
-
     robot, freedom = task.robot, _Freedom(task, branch, fixed)
     unknowns = np.zeros(len(freedom.which))
     targets, around = freedom.scene(unknowns)
@@ -76,13 +74,8 @@ def vary(task: ArmTask, branch: Branch, fixed: bool) -> Branch:
     cost = PathCost(robot, task.model, len(q), longest=_LONGEST, singular_weight=_SINGULAR)
     damping, value = 1.0, cost.total(q, around)
     for _ in range(_ITERATIONS):
-        with torch.no_grad():
-            basis = null_basis(robot.jacobian(torch.from_numpy(q))[0]).numpy()
-        gradient = cost.gradient(q, around)
+        elbow, gradient = free_motions(robot, q), cost.gradient(q, around)
         follow, slope = _columns(cost, freedom, q, unknowns, around, gradient)
-        elbow = sparse.csc_matrix((q.size, 0))
-        if basis.shape[2]:
-            elbow = sparse.block_diag(list(basis), format="csc")
         free = sparse.hstack([elbow, sparse.csc_matrix(follow)]).tocsc()
         reduced = np.concatenate([elbow.T @ gradient, slope])
         hessian = (free.T @ cost.curvature(q) @ free).tocsc()
