@@ -40,6 +40,17 @@ def dress(axes, title: str = "", x: str = "", y: str = "", *, legend: bool = Fal
         spine.set_color(FAINT)
 
 
+def dress_space(axes, ticks, unit: str, size: float) -> None:
+    """Three axes: faint walls, `ticks` where a locator of matplotlib has them, names in a unit."""
+    for axis, label in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", strict=True):
+        axis.set_major_locator(ticks())
+        axis.set_pane_color((0.965, 0.97, 0.978, 1.0))
+        axis._axinfo["grid"].update(color="#dde1e7", linewidth=0.6)
+        axis.set_tick_params(labelsize=7.5, colors=MUTED, pad=0)
+        axis.set_label_text(f"{label} [{unit}]", fontsize=size)
+        axis.label.set_color(MUTED)
+
+
 def draw_bands(axes, place, value, error, labels) -> None:
     """Lines of (place, column) values in bands of two standard errors, and where zero is."""
     for column, label in enumerate(labels):

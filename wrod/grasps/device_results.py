@@ -6,6 +6,12 @@ from wrod.grasps.results import SENSITIVITIES
 from wrod.kernels.grasping.reading import Results
 from wrod.machine import available_memory, require_memory
 
+# What is read out of them always, and with the rods' shapes.
+FIELDS = (
+    "position", "rotation", "force", "force_jacobian", "converged", "stable", "iterations",
+    "residual",
+)  # fmt: skip
+SHAPES = ("shape", "arc_length")
 # Solved at once at least, and the share of what is free that is taken for them.
 _LEAST, _SHARE = 32, 0.8
 

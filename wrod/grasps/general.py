@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import warp as wp
 
-from wrod.grasps.device_results import at_once, empty_results, result_bytes
+from wrod.grasps.device_results import FIELDS, SHAPES, at_once, empty_results, result_bytes
 from wrod.grasps.growth import growth
 from wrod.grasps.inputs import GraspOptions
 from wrod.grasps.levels import (
@@ -322,8 +322,7 @@ def _solve_chunk(
     out = empty_results(n, edges, device, sensitivities=False, shapes=options.shapes)
     levels = coarse.straight, fine.straight
     ladder.judge(levels, inputs[1], n, extrapolate=options.extrapolate, out=out)
-    names = ["position", "rotation", "force", "force_jacobian", "converged", "stable"]
-    names += ["iterations", "residual", *(["shape", "arc_length"] if options.shapes else [])]
+    names = FIELDS + SHAPES if options.shapes else FIELDS
     result = {name: getattr(out, name).numpy() for name in names}
     share = 1.0 / 3.0 if options.extrapolate else 0.0
     twist = fine.twist.numpy()

@@ -85,11 +85,7 @@ class GraspArrays:
                 outside `LIMITS`.
         """
         kinds = {_kind(value) for value in inputs} - {"number"}
-        if (
-            len(kinds & {"torch", "warp"}) > 1
-            or kinds >= {"numpy", "torch"}
-            or (kinds >= {"numpy", "warp"})
-        ):
+        if len(kinds) > 1:
             raise GraspError(
                 f"grasp inputs mix {' and '.join(sorted(kinds))} arrays; give one kind (and "
                 "numbers)"

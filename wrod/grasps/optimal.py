@@ -13,7 +13,7 @@ import warp as wp
 
 from wrod import arguments
 from wrod.errors import GraspError
-from wrod.grasps.device_results import at_once, empty_results, result_bytes
+from wrod.grasps.device_results import FIELDS, SHAPES, at_once, empty_results, result_bytes
 from wrod.grasps.general import RodArrays, curved_rods, solve_general
 from wrod.grasps.held_rods import held_batch
 from wrod.grasps.inputs import GraspArrays, GraspOptions, closure_number
@@ -197,9 +197,9 @@ def _natural_curvature(value, count: int) -> np.ndarray | None:
     try:
         value = np.array(np.broadcast_to(value, (count, 2)))
     except ValueError:
-        value = np.full((count, 3), np.nan)
-    if value.shape != (count, 2):
-        raise GraspError("natural_curvature must be (2,) or (n, 2): towards +y and +z [1/L_gb]")
+        raise GraspError(
+            "natural_curvature must be (2,) or (n, 2): towards +y and +z [1/L_gb]"
+        ) from None
     bad = np.flatnonzero(~((value >= low) & (value <= high)).all(axis=1))
     if bad.size:
         raise GraspError(
@@ -226,10 +226,7 @@ def _solve_curved(inputs: GraspArrays, natural, poisson: float, options: GraspOp
 
 
 def _grasps(inputs: GraspArrays, out: Results, eigenvalue, shapes: bool) -> Grasps:
-    names = ["position", "rotation", "force", "force_jacobian", "converged", "stable"]
-    names += ["iterations", "residual"]
-    if shapes:
-        names += ["shape", "arc_length"]
+    names = FIELDS + SHAPES if shapes else FIELDS
     if out.position_sensitivity.shape[1]:
         names += SENSITIVITIES
     values = {name: inputs.result(getattr(out, name)) for name in names}

@@ -22,8 +22,7 @@ class GraspSolver:
         closure: one of `wrod.kernels.grasping.closures`; with ZERO_TENSION the thrust stays as it
             is given.
         device: Warp device.
-        guess: (n, edge_count + 1, 3) nodes near the solution at the full curvature; without it the
-            solver starts from the straight pattern and walks up the curvature.
+        guess: (n, edge_count + 1, 3) nodes near the solution.
         thrust: (n,) F_x of the guess.
     """
 
@@ -36,12 +35,11 @@ class GraspSolver:
         edge_count: int,
         closure: int,
         device: str,
-        guess: np.ndarray | None = None,
-        thrust: np.ndarray | None = None,
+        guess: np.ndarray,
+        thrust: np.ndarray,
     ):
         n = len(suspended_length)
         self.closure, self.device = int(closure), device
-        self.curvature, self.stretch_ratio = curvature, stretch_ratio
         self.work = WorkList(n, device)
         self.work.index.assign(np.arange(n, dtype=np.int32))
         self.work.count.fill_(n)
@@ -60,16 +58,14 @@ class GraspSolver:
         ]
         level.lay(self.length, self.model[0], n)
         level.hang(self.work)
-        if guess is not None:
-            guess = np.array(guess)
-            # The contact holds the direction of the first edge.
-            half = np.arctan(0.5 * np.asarray(curvature) * level.rest.contiguous().numpy()[:, 0])
-            first = np.stack([np.cos(half), np.sin(half), np.zeros_like(half)], axis=1)
-            guess[:, 1] = np.linalg.norm(guess[:, 1], axis=1)[:, None] * first
-            put(level.shape, guess)
-            put(level.curvature, curvature)
-        if thrust is not None:
-            put(level.thrust, thrust)
+        guess = np.array(guess)
+        # The contact holds the direction of the first edge.
+        half = np.arctan(0.5 * np.asarray(curvature) * level.rest.contiguous().numpy()[:, 0])
+        first = np.stack([np.cos(half), np.sin(half), np.zeros_like(half)], axis=1)
+        guess[:, 1] = np.linalg.norm(guess[:, 1], axis=1)[:, None] * first
+        put(level.shape, guess)
+        put(level.curvature, curvature)
+        put(level.thrust, thrust)
 
     def run(self) -> GraspSolver:
         """Iterate until every grasp has converged or failed."""

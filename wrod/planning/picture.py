@@ -8,7 +8,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import PatternError
 from wrod.files import write_figure
-from wrod.files.pictures import FAINT, INK, MUTED, dress
+from wrod.files.pictures import FAINT, INK, MUTED, dress, dress_space
 from wrod.patterns.pattern import Pattern
 from wrod.planning.shapes import with_remainder_of
 from wrod.planning.trajectory import Trajectory
@@ -91,7 +91,20 @@ def _colored_path(axes, points: np.ndarray, values: np.ndarray, **style):
     axes.add_collection(lines)
 
 
+def _draw_rods(axes, trajectory: Trajectory, shapes, dimensions: int, width: float) -> None:
+    """The rod from some contacts to the grip, by straight lines where its shapes are not known."""
+    style: dict = {"lw": width, "alpha": 0.9}
+    if shapes is None:
+        nodes = _spread(len(trajectory), _SHAPES)
+        shapes = np.stack([trajectory.contact[nodes], trajectory.position[nodes]], axis=1)
+        style = {"lw": 0.9, "alpha": 0.8, "ls": (0, (2, 2))}
+    for shape in shapes:
+        axes.plot(*shape.T[:dimensions], color=_ROD, **style)
+
+
 def _draw_view(axes, trajectory: Trajectory, shapes: np.ndarray | None) -> None:
+    from matplotlib.ticker import MultipleLocator
+
     remainder, drawn = _laid(trajectory)
     corners = np.concatenate([trajectory.contact, trajectory.position])
     if shapes is not None:
@@ -105,14 +118,7 @@ def _draw_view(axes, trajectory: Trajectory, shapes: np.ndarray | None) -> None:
     if len(remainder):
         axes.plot(*remainder.T, color=_REMAINDER, lw=2.5)
     axes.plot(*drawn.T, color=_PATTERN, lw=2.5)
-    nodes = _spread(len(trajectory), _SHAPES)
-    if shapes is not None:
-        for shape in shapes:
-            axes.plot(*shape.T, color=_ROD, lw=1.6, alpha=0.9)
-    else:
-        for node in nodes:
-            ends = np.stack([trajectory.contact[node], trajectory.position[node]])
-            axes.plot(*ends.T, color=_ROD, lw=0.9, ls=(0, (2, 2)), alpha=0.8)
+    _draw_rods(axes, trajectory, shapes, 3, 1.6)
     _colored_path(axes, trajectory.position, trajectory.arc_length, linewidths=2.2)
     size = 0.075 * np.max(high - low)
     for node in _spread(len(trajectory), _FRAMES):
@@ -125,31 +131,14 @@ def _draw_view(axes, trajectory: Trajectory, shapes: np.ndarray | None) -> None:
     axes.set_zlim(low[2], high[2])
     axes.set_box_aspect(high - low, zoom=0.9)
     axes.view_init(elev=22, azim=-58)
-    _dress_view(axes, high - low)
-
-
-def _dress_view(axes, extent: np.ndarray) -> None:
-    from matplotlib.ticker import MultipleLocator
-
-    step = next(d for d in (0.05, 0.1, 0.2, 0.5, 1.0, 5.0, 20.0, 1e3) if extent.max() / d <= 6)
-    for axis, label in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", strict=True):
-        axis.set_major_locator(MultipleLocator(step))
-        axis.set_pane_color((0.965, 0.97, 0.978, 1.0))
-        axis._axinfo["grid"].update(color="#dde1e7", linewidth=0.6)
-        axis.label.set_color(MUTED)
-        axis.set_tick_params(labelsize=7.5, colors=MUTED, pad=0)
-        axis.set_label_text(f"{label} [m]", fontsize=9)
+    longest = np.max(high - low)
+    step = next(d for d in (0.05, 0.1, 0.2, 0.5, 1.0, 5.0, 20.0, 1e3) if longest / d <= 6)
+    dress_space(axes, lambda: MultipleLocator(step), "m", 9)
 
 
 def _draw_above(axes, trajectory: Trajectory, shapes: np.ndarray | None) -> None:
     remainder, drawn = _laid(trajectory)
-    for node in _spread(len(trajectory), _SHAPES):
-        ends = np.stack([trajectory.contact[node, :2], trajectory.position[node, :2]])
-        if shapes is None:
-            axes.plot(*ends.T, color=_ROD, lw=0.9, ls=(0, (2, 2)), alpha=0.8)
-    if shapes is not None:
-        for shape in shapes:
-            axes.plot(shape[:, 0], shape[:, 1], color=_ROD, lw=1.3, alpha=0.9)
+    _draw_rods(axes, trajectory, shapes, 2, 1.3)
     if len(remainder):
         axes.plot(remainder[:, 0], remainder[:, 1], color=_REMAINDER, lw=3.0)
     axes.plot(drawn[:, 0], drawn[:, 1], color=_PATTERN, lw=3.0)

@@ -11,7 +11,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import GraspError
 from wrod.files import write_npz
-from wrod.grasps.inputs import CLOSURES, check_inputs
+from wrod.grasps.inputs import check_inputs, closure_number
 from wrod.grasps.manifold.boundary import EMPTY, Boundary, boundary
 from wrod.grasps.manifold.grips import EDGE_COUNT, grasp_shapes
 from wrod.grasps.manifold.optima import Optimum, find_optima
@@ -87,8 +87,7 @@ def force_map(
     Raises:
         GraspError: inputs out of range, an unknown closure, or no ray that holds a grip.
     """
-    if closure not in CLOSURES:
-        raise GraspError(f"unknown closure {closure!r}; use one of {', '.join(CLOSURES)}")
+    closure_number(closure)
     ls, _, ks = check_inputs(suspended_length, 0.0, stretch_ratio)
     if len(ls) != 1:
         raise GraspError("a force map has one suspended length and one stretch ratio")
@@ -116,19 +115,13 @@ def force_map(
 
 def save_map(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
     """Write a force map as NPZ: plain arrays, dimensionless. Returns the path."""
-    arrays: dict[str, Any] = {
-        "suspended_length": np.array(manifold.suspended_length),
-        "stretch_ratio": np.array(manifold.stretch_ratio),
-        "closure": np.array(manifold.closure),
-        "offset": np.array(manifold.offset),
-        "boundary_angle": manifold.boundary.angle,
-        "boundary_tight": manifold.boundary.tight[0],
-        "boundary_low": manifold.boundary.low[0],
-        "boundary_kind": manifold.boundary.kind[0],
-        "nudge_offset": manifold.nudges.offset,
-        "nudge_force": manifold.nudges.force,
-        "nudge_deflection": manifold.nudges.deflection,
-    }
+    asked = ("suspended_length", "stretch_ratio", "closure", "offset")
+    arrays: dict[str, Any] = {name: np.array(getattr(manifold, name)) for name in asked}
+    arrays["boundary_angle"] = manifold.boundary.angle
+    for name in ("tight", "low", "kind"):
+        arrays[f"boundary_{name}"] = getattr(manifold.boundary, name)[0]
+    for name in ("offset", "force", "deflection"):
+        arrays[f"nudge_{name}"] = getattr(manifold.nudges, name)
     for name in ("position", "force", "shape", "eigenvalue", "stable", "snaps_at"):
         arrays[f"optimum_{name}"] = np.array([getattr(o, name) for o in manifold.optima])
     for number, patch in enumerate(manifold.patches):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.files import write_figure
-from wrod.files.pictures import FAINT, INK, MUTED, dress
+from wrod.files.pictures import FAINT, INK, MUTED, dress, dress_space
 from wrod.grasps.manifold.map import ForceMap
 
 # Optima in order of their force; a third would be rare.
@@ -21,8 +21,9 @@ def draw_map(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
     Beside Fig. 2Dschematic (c) and (d) of the paper.
     """
     from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
 
-    figure = _figure((12.8, 5.2))
+    figure = Figure(figsize=(12.8, 5.2), facecolor="white")
     size = [np.linalg.norm(patch.force, axis=2) for patch in manifold.patches]
     soft = [patch.deflection for patch in manifold.patches]
     top = max(float(field.max()) for field in soft)
@@ -69,14 +70,14 @@ def draw_map(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
         ticks = np.outer(10.0 ** np.arange(-4, 5), [1.0, 2.0, 5.0]).ravel()
         if j == 1:
             ticks = np.append(ticks, manifold.offset)
-        shown = ticks[(ticks >= norm.vmin) & (ticks <= norm.vmax)]
+        shown = ticks[(ticks >= norm.vmin) & (ticks <= norm.vmax)].tolist()
         bar.set_ticks(shown, labels=[f"{t:g}" for t in shown], minor=False)
         bar.ax.minorticks_off()
         bar.ax.tick_params(labelsize=8, colors=MUTED, length=0)
         bar.outline.set_visible(False)
     figure.text(0.03, 0.93, _title(manifold), fontsize=13, color=INK, weight="bold")
     _name_optima(figure, manifold)
-    return _save(figure, path)
+    return write_figure(path, figure, 110)
 
 
 def draw_nudges(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
@@ -84,7 +85,9 @@ def draw_nudges(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
 
     Beside Fig. stability of the paper.
     """
-    figure = _figure((12.8, 5.2))
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.8, 5.2), facecolor="white")
     width = 0.94 / len(manifold.optima)
     for j, optimum in enumerate(manifold.optima):
         left = 0.06 + j * width
@@ -101,7 +104,7 @@ def draw_nudges(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
             fontsize=9, color=MUTED,
         )  # fmt: skip
     figure.text(0.03, 0.93, _title(manifold), fontsize=13, color=INK, weight="bold")
-    return _save(figure, path)
+    return write_figure(path, figure, 110)
 
 
 def _draw_forces(axes, manifold: ForceMap, j: int) -> None:
@@ -205,13 +208,7 @@ def _draw_shapes(figure, box, manifold: ForceMap, j: int) -> None:
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(high - low, zoom=0.85)
     axes.view_init(elev=22, azim=-62)
-    for axis, label in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", strict=True):
-        axis.set_major_locator(MaxNLocator(3))
-        axis.set_pane_color((0.965, 0.97, 0.978, 1.0))
-        axis._axinfo["grid"].update(color="#dde1e7", linewidth=0.6)
-        axis.set_tick_params(labelsize=7.5, colors=MUTED, pad=0)
-        axis.set_label_text(f"{label} [L_gb]", fontsize=8.5)
-        axis.label.set_color(MUTED)
+    dress_space(axes, lambda: MaxNLocator(3), "L_gb", 8.5)
     axes.legend(loc="upper left", fontsize=8, frameon=False, labelcolor=MUTED, handlelength=1.2)
 
 
@@ -220,15 +217,3 @@ def _dress(axes) -> None:
         axes.set_xlabel("x [L_gb]", fontsize=9, color=MUTED)
         axes.set_ylabel("z [L_gb]", fontsize=9, color=MUTED)
     dress(axes)
-
-
-def _figure(size):
-    # Figure objects of their own: pyplot would keep state and choose a display.
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, facecolor="white")
-    return figure
-
-
-def _save(figure, path) -> Path:
-    return write_figure(path, figure, 110)
