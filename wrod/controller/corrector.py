@@ -11,6 +11,7 @@ from importlib import resources
 
 import numpy as np
 
+from wrod.controller.model import layers
 from wrod.controller.trained import Trained
 from wrod.errors import OutOfRangeWarning
 
@@ -71,17 +72,9 @@ def formula(xp, parameters: dict, features):
     exactly."""
     count = len(WINDOW)
     mirrored = xp.concatenate([-features[:, :count], features[:, count:]], -1)
-    one, other = (_network(xp, parameters, x) for x in (features, mirrored))
+    one, other = (layers(xp, parameters, x, xp.tanh) for x in (features, mirrored))
     even, odd = 0.5 * (one + other), 0.5 * (one - other)
     return parameters["scale"] * xp.stack([even[:, 0], odd[:, 1], even[:, 2]], -1)
-
-
-def _network(xp, parameters: dict, x):
-    last = sum(name.startswith("weight.") for name in parameters) - 1
-    for layer in range(last + 1):
-        x = x @ parameters[f"weight.{layer}"].T + parameters[f"bias.{layer}"]
-        x = xp.tanh(x) if layer < last else x
-    return x
 
 
 class Corrector(Trained):

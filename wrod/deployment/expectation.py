@@ -141,7 +141,7 @@ def rougher(
     out: list[float | None] = []
     for (start, stop, _), asked in zip(expected["off"], lost, strict=True):
         inside = (s >= start) & (s <= stop)
-        bad = (error[..., inside] > _OFF).any(axis=2).all(axis=0)
+        bad = np.all(np.any(error[..., inside] > _OFF, axis=2), axis=0)
         out.append(_holds_from(mus, bad) if asked else None)
     return out
 
@@ -195,8 +195,8 @@ class Unseen:
         slid = [np.interp(s + pattern.remainder_length, x.arc_length, x.slip) > _SLID for x in laid]
         bad = own > _OFF
         off = [
-            [start, stop, _holds_from(mus, bad[:, (s >= start) & (s <= stop)].any(axis=1))]
-            for start, stop in _stretches(s, bad.any(axis=0))
+            [start, stop, _holds_from(mus, np.any(bad[:, (s >= start) & (s <= stop)], axis=1))]
+            for start, stop in _stretches(s, np.any(bad, axis=0))
         ]
         means = error.mean(axis=1)
         return {
@@ -208,7 +208,7 @@ class Unseen:
             "deviation": float(means.std()),
             "slides": _stretches(s, np.mean(slid, axis=0) >= 0.5),
             "off": off,
-            "holds_from": _holds_from(mus, bad.any(axis=1)),
+            "holds_from": _holds_from(mus, np.any(bad, axis=1)),
             "error_along": error.mean(axis=0).tolist(),
             "diverged": int(sum(one.diverged for one in laid)),
         }

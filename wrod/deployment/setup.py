@@ -15,6 +15,7 @@ from wrod.deployment.grip_path import KEY_INTERVAL, GripSchedule, smooth_noise
 from wrod.errors import PatternError, RodError
 from wrod.grasps.mesh import rest_lengths
 from wrod.grasps.optimal import solve_grasps
+from wrod.patterns.curve import arc_length as along
 from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
 from wrod.planning.pace import TAIL_FASTER, GripPath
@@ -193,7 +194,7 @@ def prepare_deployment(
     if RodModel.of(rod).law.at_rest is None and trajectory.shape is not None:
         # It would remember to have hung elsewhere.
         shape = np.asarray(trajectory.shape[first])
-        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(shape, axis=0), axis=1))])
+        s = along(shape)
         s *= suspended / s[-1]
     else:
         hangs = _hanging(float(suspended), float(curvature * lgb), float(rod.stretch_ratio))

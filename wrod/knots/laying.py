@@ -8,6 +8,7 @@ from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.setup import disturb, prepare_deployment
 from wrod.knots.tying_run import TyingRun, laying_of
 from wrod.knots.workbench import Poses, Workbench
+from wrod.patterns.curve import arc_length
 from wrod.planning.tail import tail
 from wrod.rods.rotation import carried, unit
 
@@ -115,8 +116,7 @@ def _over(
     if (raised == start).all():
         return start
     # The detour takes length from the free end.
-    length = np.linalg.norm(np.diff(raised, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(length)])
+    along = arc_length(raised)
     along += arc[-1] - along[-1]
     return np.column_stack([np.interp(arc, along, raised[:, c]) for c in range(3)])
 

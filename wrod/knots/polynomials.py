@@ -147,12 +147,10 @@ def _table() -> dict[frozenset, str]:
     }
     for name, p in one_hand.items():
         table[f"right {name}"], table[f"left {name}"] = p, _mirror(p)
-    # The same link with one curve reversed: t^(-3 lk) V, lk = 1 and 2.
-    for hand, other in (("right", "left"), ("left", "right")):
-        for name, linking in (("Solomon link", 2),):
-            shift = -3.0 * linking if hand == "right" else 3.0 * linking
-            reversed_ = {e + shift: v for e, v in table[f"{hand} {name}"].items()}
-            table[f"{other} {name}, antiparallel"] = reversed_
+    # The same link with one curve reversed: t^(-3 lk) V, lk = 2 and -2.
+    for hand, other, shift in (("right", "left", -6.0), ("left", "right", 6.0)):
+        reversed_ = {e + shift: v for e, v in table[f"{hand} Solomon link"].items()}
+        table[f"{other} Solomon link, antiparallel"] = reversed_
     whitehead = {-1.5: -1, -0.5: 1, 0.5: -2, 1.5: 1, 2.5: -2, 3.5: 1}
     table["Whitehead link"], table["mirrored Whitehead link"] = whitehead, _mirror(whitehead)
     return {frozenset(p.items()): name for name, p in table.items()}

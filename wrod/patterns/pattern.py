@@ -151,13 +151,8 @@ class Pattern:
             PatternError: not finite, fewer than 3 distinct points, repeated, not planar, unknown
                 units, or a spike of curvature; names the point.
         """
-        try:
-            values = np.asarray(points, dtype=float)
-        except (TypeError, ValueError):
-            raise PatternError(
-                "points are not an array of numbers of shape (n, 2) or (n, 3)"
-            ) from None
-        return cls._from_raw(RawPoints(values, name), units, smoothing, name, traced)
+        raw = RawPoints(np.asarray(points, dtype=float), name)
+        return cls._from_raw(raw, units, smoothing, name, traced)
 
     @classmethod
     def _from_raw(
@@ -168,8 +163,6 @@ class Pattern:
         name: str,
         traced: bool = False,
     ) -> Pattern:
-        if smoothing is not None and not (np.isfinite(smoothing) and smoothing >= 0.0):
-            raise PatternError(f"smoothing is {smoothing!r}; give a noise level in metres, or None")
         points = checked_points(raw, units)
         corners = find_corners(points[:, :2])
         if not traced:

@@ -64,9 +64,11 @@ def export(path: JointPath, folder: str | os.PathLike[str], formats: list[str]) 
     }
     # All are made before any is written: nothing is left behind half.
     made = [(Path(folder) / FORMATS[name], writers[name](path)) for name in formats]
-    return [
-        write_atomically(file, lambda out, data=data: out.write(data), "wb") for file, data in made
-    ]
+    return [_written(file, data) for file, data in made]
+
+
+def _written(path: Path, data: bytes) -> Path:
+    return write_atomically(path, lambda file: file.write(data), "wb")
 
 
 def suited(path: JointPath) -> list[str]:
