@@ -21,8 +21,8 @@ from wrod.solvers.solids import Plane
 
 # The table gives way by this fraction of the radius under the rod's weight; where the rod touches
 # down, which loads it with about 2 w L_gb at a point, that makes some 1 % of the radius.
-_SINKING = 1.0 / 600.0
-_SINKING_AT_POSTS = _SINKING / 10.0
+SINKING = 1.0 / 600.0
+_SINKING_AT_POSTS = SINKING / 10.0
 # Steps with tolerances from the first on are given up once their residual could not come down by
 # this factor an iteration: where nodes come to stick, slide or touch in turn half the step is
 # sooner there. Tight ones go on, lest rods that differ by next to nothing are laid in other steps.
@@ -92,7 +92,7 @@ def _stiffness(rods: list[RodModel], fixtures: list[Fixtures | None]) -> np.ndar
     Fixtures carry the rod's bending, not its weight: a post presses with about k_b / L_gb^2, some
     2 w L_gb, on an edge or two.
     """
-    sinking = [_SINKING if f is None else _SINKING_AT_POSTS for f in fixtures]
+    sinking = [SINKING if f is None else _SINKING_AT_POSTS for f in fixtures]
     return np.array(
         [rod.weight / (part * rod.radius) for rod, part in zip(rods, sinking, strict=True)]
     )

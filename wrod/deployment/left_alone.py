@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from scipy.interpolate import CubicSpline
 
-from wrod.deployment.assembly import USUAL_DAMPING
+from wrod.deployment.assembly import SINKING, USUAL_DAMPING
 from wrod.patterns.curve import arc_length
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import directors_at_rest
@@ -18,8 +18,6 @@ from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.friction import Friction
 
-# The table gives way by this part of the radius under the rod's weight, as in a deployment.
-_SINKING = 1.0 / 600.0
 _EDGES = 4.0  # of a rod that falls, per L_gb
 _STEP = 5e-3  # [s]
 
@@ -46,7 +44,7 @@ def left_alone(
     director = directors_at_rest(rods, arc_length, position, director)
     batch = RodBatch.of(rods, arc_length, position, director=director, device=device)
     sides = np.array([RodModel.of(rod).has_sides for rod in rods])
-    contact = Contact(batch, radius, weight / (_SINKING * radius), friction, keeps_roll=sides)
+    contact = Contact(batch, radius, weight / (SINKING * radius), friction, keeps_roll=sides)
     dynamics = Dynamics.of(
         rods,
         batch,

@@ -54,18 +54,9 @@ def optimise(
 ) -> Trajectory:
     """Correct a trajectory's positions until what stays on the table lies on the pattern.
 
-    Rods that cover the spread of friction, L_gb and natural curvature are laid together with their
-    derivatives by smooth displacements of the grip; a Gauss-Newton step, damped where it would be
-    too large, reduces their squared errors, the worse ones weighing more, and what the corrections
-    cost in size and roughness. A step that makes it worse is taken back and shortened, after one
-    that was damped and kept its promise the next may be twice as large. Where much is left, bends
-    are corrected one after the other (`wrod.deployment.descent`). Meshes are coarse. Then disturbed
-    rods that none of this has seen are laid on fine ones by the path by which the sample lies best,
-    by the one that a further step leads to, and by that without a correction unless the sample lies
-    worse by it by more than 1 mm. That by which they would lie best if
-    they were spread evenly (`balanced`) is taken, but none rather than one that is not better than
-    none by more than the standard error of the differences; what they show is what is expected of
-    the plan.
+    Gauss-Newton steps for a sample of rods that covers the spread, on coarse meshes; of what these
+    lead to, and of the path as it was, that is taken by which disturbed rods lie best that none of
+    it has seen (docs/deployment.md has it step by step).
 
     Args:
         pattern: with the remainder that the trajectory lays.

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from wrod.deployment.assembly import SINKING
 from wrod.kernels.stepping import hands
 from wrod.kernels.stepping.pace import Pace
 from wrod.rods.batch import RodBatch
@@ -24,7 +25,6 @@ from wrod.solvers.rod_contact import RodContact
 
 # Hands move smoothly; between these times straight [s].
 TICK = 0.04
-_SINKING = 1.0 / 600.0
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ class Workbench:
         radius, weight = self._along("radius"), self._along("weight")
         load = np.array([rod[0].weight * rod[0].gravito_bending_length for rod in self.rods])
         table, between = self.friction
-        self.table = Contact(batch, radius, weight / (_SINKING * radius), table)
+        self.table = Contact(batch, radius, weight / (SINKING * radius), table)
         self.touch = RodContact(batch, radius=radius[:, :-1], friction=between)
         self.held = Hands(batch, self.hands)
         self.dynamics = Dynamics(

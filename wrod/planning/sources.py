@@ -177,17 +177,11 @@ def _numeric(inputs: GraspInputs) -> Grasps:
 
 
 @cache
-def _of_closure(closure: str) -> Controller:
-    from wrod.controller.controller import Controller
-
-    return Controller.load(closure=closure)
-
-
 def _shipped(closure: str) -> Controller:
     """The controller of a closure that ships, or that of zero tension; read once."""
-    from wrod.controller.controller import SHIPPED
+    from wrod.controller.controller import SHIPPED, Controller
 
-    return _of_closure(closure if closure in SHIPPED else "zero_tension")
+    return Controller.load(closure=closure if closure in SHIPPED else "zero_tension")
 
 
 def _neural(inputs: GraspInputs) -> Grasps:

@@ -28,7 +28,7 @@ _RANKED = 24  # different branches whose obstacles are looked at
 _TRIED = 4  # branches that are improved and compared
 _HOPELESS = 0.7  # [rad] beyond a limit, from where on the elbow's freedom is not tried
 _ROUNDS, _AROUND = 4, 24  # of the search near a branch, and choices in each
-# Reach of that search at first: place [m], yaw, roll, grip angle [rad], table height [m].
+# Reach of that search at first, as `moved` has it.
 _NEAR = np.array([0.08, 0.08, 0.5, 0.5, 0.3, 0.06])
 
 
@@ -122,6 +122,10 @@ class ArmTask:
                 best = solution
         return best
 
+    def free(self, fixed: bool) -> np.ndarray:
+        """(6,) which changes of `moved` are allowed, where the place must stay if it is `fixed`."""
+        return np.array([not fixed] * 3 + [True, True, self.free_height and not fixed])
+
     def nearby(self, branch: Branch, fixed: bool, seed: int = 0, rounds: int = _ROUNDS) -> Branch:
         """A better branch near one: place, yaw, roll and grip angle varied, ever less.
 
@@ -129,19 +133,13 @@ class ArmTask:
             fixed: the place must stay.
         """
         rng = np.random.default_rng(seed)
-        scale = _NEAR * np.array([not fixed] * 3 + [1, 1] + [self.free_height and not fixed])
+        scale = _NEAR * self.free(fixed)
         best, value = branch, self.cost(branch)
         keeps_off = off_pedestal(self.robot, self.trajectory, branch.placement.z)
         for _ in range(rounds):
-            place, grip = best.placement, best.grip
-            choices = []
-            for x, y, yaw, roll, angle, z in rng.normal(size=(_AROUND, 6)) * scale / 2:
-                moved = replace(
-                    place, x=place.x + x, y=place.y + y, z=place.z + z, yaw=place.yaw + yaw
-                )
-                tilt = float(np.clip(grip.angle + angle, 0.0, math.pi / 2))
-                if fixed or keeps_off(moved):
-                    choices.append((moved, Grip(tilt, grip.roll + roll)))
+            changes = rng.normal(size=(_AROUND, 6)) * scale / 2
+            choices = [moved(best.placement, best.grip, change) for change in changes]
+            choices = [choice for choice in choices if fixed or keeps_off(choice[0])]
             if not choices:
                 continue
             middle = best.positions[len(best.positions) // 2]
@@ -231,6 +229,14 @@ class ArmTask:
         least[around.hanging[..., 2] < around.table_height + _OVER_TABLE] = math.inf
         sample = int(least.min(1).argmin())
         return float(least.min()), sample
+
+
+def moved(place: Placement, grip: Grip, change: np.ndarray) -> tuple[Placement, Grip]:
+    """A place and a grip changed by x, y [m], yaw, roll, grip angle [rad], table height [m]."""
+    x, y, yaw, roll, angle, z = change
+    tilt = float(np.clip(grip.angle + angle, 0.0, math.pi / 2))
+    there = replace(place, x=place.x + x, y=place.y + y, z=place.z + z, yaw=place.yaw + yaw)
+    return there, Grip(tilt, grip.roll + roll)
 
 
 def hanging_rod(trajectory: Trajectory) -> np.ndarray | None:

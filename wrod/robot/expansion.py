@@ -5,6 +5,7 @@ which has bounds in time and memory, and whose expressions reach no attribute th
 """
 
 import ast
+import os
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -13,7 +14,6 @@ from pathlib import Path
 from wrod.errors import RobotError
 from wrod.files import checked_path
 from wrod.files.reading import MIB, shown
-from wrod.robot.packages import folders_of
 
 _SECONDS, _WALL, _MEMORY, _LONGEST = 6, 30.0, 1024 * MIB, 16 * MIB
 # What an expression needs no part of, and from which every builtin can be reached.
@@ -51,6 +51,19 @@ def expanded(path: Path) -> bytes:
     if len(done.stdout) > _LONGEST:
         raise RobotError(f"{path}: expands to {len(done.stdout) / MIB:.0f} MiB; that is no robot")
     return done.stdout
+
+
+def folders_of(package: str, file: Path) -> list[Path]:
+    """Folders that may be a package, likeliest first: of its name above the file, beside one above,
+    or on ROS_PACKAGE_PATH or AMENT_PREFIX_PATH; then those above the file's own folder, for files
+    that were handed on without their package, or in one of another name.
+    """
+    above = list(file.resolve().parents)
+    ros = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    ament = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    named = [Path(p) for p in ros if p] + [Path(p) / "share" for p in ament if p]
+    beside = [folder / package for folder in above + named]
+    return [folder for folder in above if folder.name == package] + beside + above[1:]
 
 
 def refuse_code(expression: str) -> None:

@@ -6,12 +6,12 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from wrod.arguments import number, shown
 from wrod.errors import RobotError
+from wrod.planning.trajectory import Trajectory
 from wrod.robot.capsules import capsules_of
 from wrod.robot.model import Robot
 
@@ -115,14 +115,12 @@ def foot(robot: Robot) -> np.ndarray:
     return np.append(mount[:2, 3], shoulder[2] - mount[:3, 2] @ (shoulder - mount[:3, 3]))
 
 
-class Places(Protocol):
-    """What is placed before an arm, such as a `wrod.Trajectory`: (n, 3) contacts with the table and
-    (m, 3) positions of the hand [m]."""
+@dataclass(frozen=True)
+class Places:
+    """What an arm reaches for: (n, 3) on the table and (m, 3) positions of the hand [m]."""
 
-    @property
-    def contact(self) -> np.ndarray: ...
-    @property
-    def position(self) -> np.ndarray: ...
+    contact: np.ndarray
+    position: np.ndarray
 
 
 def pedestal_clearance(robot: Robot, height: float) -> float:
@@ -144,7 +142,9 @@ def pedestal_clearance(robot: Robot, height: float) -> float:
     return reach + PEDESTAL_ROOM - 0.02
 
 
-def off_pedestal(robot: Robot, trajectory: Places, height: float) -> Callable[[Placement], bool]:
+def off_pedestal(
+    robot: Robot, trajectory: Trajectory | Places, height: float
+) -> Callable[[Placement], bool]:
     """Whether at a placement nothing is laid where the arm stands, of tables of about `height`."""
     axis, clearance = foot(robot)[:2], pedestal_clearance(robot, height)
 
@@ -156,7 +156,10 @@ def off_pedestal(robot: Robot, trajectory: Places, height: float) -> Callable[[P
 
 
 def candidates(
-    trajectory: Places, robot: Robot, count: int = 24, heights: tuple[float, ...] | None = None
+    trajectory: Trajectory | Places,
+    robot: Robot,
+    count: int = 24,
+    heights: tuple[float, ...] | None = None,
 ) -> list[Placement]:
     """Placements worth trying, the most central first.
 

@@ -1,13 +1,11 @@
 """Where two arms stand so that each reaches everything that its hand does."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from wrod.errors import RobotError
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot
-from wrod.robot.placement import Placement, candidates
+from wrod.robot.placement import Placement, Places, candidates
 from wrod.robot.search import Branch, follow_targets
 from wrod.robot.transfer_path import coarse_frames
 from wrod.robot.transfers import Grasp, Transfer
@@ -67,18 +65,10 @@ def pairs_of_stations(
     return [pairs[rank][1:] for _, rank in sorted(order)[:_PAIRS]]
 
 
-@dataclass(frozen=True)
-class _Everything:
-    """What an arm reaches for (`wrod.robot.placement.Places`)."""
-
-    contact: np.ndarray
-    position: np.ndarray
-
-
 def _stations(robot, transfers, grasps, ground) -> list[tuple[float, Placement]]:
     """Placements of one arm with the cost of its worst transfer."""
     ways = [transfer.poses[:, :3, 3] for transfer in transfers] or [ground + [0.0, 0.0, 0.2]]
-    everything = _Everything(ground * [1, 1, 0], np.concatenate(ways))
+    everything = Places(ground * [1, 1, 0], np.concatenate(ways))
     kept: dict[tuple[float, float], list[Placement]] = {}
     for placement in candidates(everything, robot, 1000):
         group = kept.setdefault((placement.z, placement.yaw), [])

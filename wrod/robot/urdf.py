@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from wrod.errors import RobotError
 from wrod.files.markup import parse_markup, read_markup
 from wrod.files.reading import shown
-from wrod.robot.expansion import expanded
-from wrod.robot.packages import folders_of
+from wrod.robot.expansion import expanded, folders_of
 from wrod.robot.urdf_checks import check_urdf
 
 # Usual names of the link that a gripper is screwed to, whole or as the end of one.

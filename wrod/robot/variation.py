@@ -8,21 +8,17 @@ are kept.
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from wrod.robot.attempt import ArmTask
-from wrod.robot.grip import Grip
+from wrod.robot.attempt import ArmTask, moved
 from wrod.robot.kinematics import free_motions, refine
 from wrod.robot.placement import off_pedestal
 from wrod.robot.redundancy import PathCost
 from wrod.robot.search import Branch
 
-# A unit of each unknown: x, y [m], yaw, roll, grip angle [rad], table height [m].
+# A unit of each unknown, as `moved` has them.
 _UNITS = np.array([0.1, 0.1, 0.3, 0.3, 0.2, 0.1])
 _DIFFERENCE = 1e-4  # of a unit, for derivatives
 _ITERATIONS, _FARTHEST = 60, 0.25  # steps, and the most that a joint moves in one [rad]
@@ -38,19 +34,14 @@ class _Freedom:
 
     def __init__(self, task: ArmTask, branch: Branch, fixed: bool):
         self.task, self.branch = task, branch
-        free = [not fixed] * 3 + [True, True, task.free_height and not fixed]
-        self.which = np.flatnonzero(free)
+        self.which = np.flatnonzero(task.free(fixed))
         keeps_off = off_pedestal(task.robot, task.trajectory, branch.placement.z)
         self.allows = lambda unknowns: fixed or keeps_off(self.at(unknowns)[0])
 
     def at(self, unknowns: np.ndarray):
-        moved = np.zeros(6)
-        moved[self.which] = unknowns * _UNITS[self.which]
-        x, y, yaw, roll, angle, z = moved
-        place, grip = self.branch.placement, self.branch.grip
-        tilt = float(np.clip(grip.angle + angle, 0.0, math.pi / 2))
-        placed = replace(place, x=place.x + x, y=place.y + y, z=place.z + z, yaw=place.yaw + yaw)
-        return placed, Grip(tilt, grip.roll + roll)
+        change = np.zeros(6)
+        change[self.which] = unknowns * _UNITS[self.which]
+        return moved(self.branch.placement, self.branch.grip, change)
 
     def scene(self, unknowns: np.ndarray):
         """Grasp poses (K, 4, 4) in the base frame, and what is around."""
@@ -114,8 +105,8 @@ def _columns(cost: PathCost, freedom: _Freedom, q, unknowns, around, gradient):
     for k in range(len(unknowns)):
         shifted = unknowns + _DIFFERENCE * np.eye(len(unknowns))[k]
         targets, near = freedom.scene(shifted)
-        moved, _ = refine(cost.robot, q, targets, iterations=2)
-        columns.append((moved - q).reshape(-1) / _DIFFERENCE)
+        followed, _ = refine(cost.robot, q, targets, iterations=2)
+        columns.append((followed - q).reshape(-1) / _DIFFERENCE)
         direct = (cost.penalty(q, near)[0] - here) / _DIFFERENCE
         slope.append(float(gradient @ columns[-1]) + direct)
     return np.array(columns).T, np.array(slope)
