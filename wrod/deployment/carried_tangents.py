@@ -157,10 +157,7 @@ class LaidTangents:
                 [self.winding, self.turning],
             )
         batch.launch(
-            banded_lu.assemble,
-            (rods, dofs),
-            [accepted, batch.free, self.matrix],
-            [self.factor],
+            banded_lu.assemble, (rods, dofs), [accepted, batch.free, self.matrix], [self.factor]
         )
         batch.launch_lanes(banded_lu.factorise, [accepted], [self.factor])
         tangents = [self.now, self.older, self.velocity, self.velocity_older]
@@ -190,10 +187,7 @@ class LaidTangents:
             [self.bristle, self.turned],
         )
         batch.launch(
-            kernels.advance_tangents,
-            (rods, self.packs, dofs),
-            [self.begin, pace, self.x],
-            tangents,
+            kernels.advance_tangents, (rods, self.packs, dofs), [self.begin, pace, self.x], tangents
         )
 
     def _load_flow(self, dynamics: NewtonSteps) -> None:

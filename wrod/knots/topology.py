@@ -38,11 +38,6 @@ class Diagram:
     sign: np.ndarray
     curves: np.ndarray
 
-    @property
-    def writhe(self) -> int:
-        """Sum of the crossings' signs."""
-        return int(self.sign.sum())
-
     def linking_number(self) -> int:
         """Half the signed crossings between the first two curves (Gauss linking number)."""
         between = (self.curves == [0, 1]).all(1) | (self.curves == [1, 0]).all(1)

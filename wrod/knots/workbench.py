@@ -188,7 +188,6 @@ class Workbench:
         position: (scene, node, 3) of all rods' nodes, one rod after the other [m].
         director: (scene, node - 1, 3) first material director of every edge, or (scene, 3).
         friction: of rods on the table, and of rods on rods.
-        hands: how many there are.
         step: largest time step [s].
         natural_curvature: (scene, node) curvature at rest, towards the first director [1/m].
 
@@ -201,7 +200,6 @@ class Workbench:
     position: np.ndarray
     director: np.ndarray
     friction: tuple[Friction, Friction]
-    hands: int = 2
     step: float = 0.01
     air_damping: float = 1.0
     tolerance: float = 1e-3
@@ -230,7 +228,7 @@ class Workbench:
         table, between = self.friction
         self.table = Contact(batch, radius, weight / (SINKING * radius), table)
         self.touch = RodContact(batch, radius=radius[:, :-1], friction=between)
-        self.held = Hands(batch, self.hands)
+        self.held = Hands(batch, 2)
         self.dynamics = Dynamics(
             batch,
             scheme="euler",

@@ -43,20 +43,11 @@ def strokes(angle: float, *parts: list[tuple[float, float, float]]) -> tuple[PPo
     return heading_of_curvature(curvature, radians(angle)), np.zeros(2)
 
 
-def _sine() -> tuple[PPoly, np.ndarray]:
-    # From a crest, so that it starts along x: two periods of 0.28 m, amplitude 35 mm.
-    return heading_of_curve(lambda t: (0.28 * t, 0.035 * np.cos(2 * pi * t)), 2.0)
-
-
-def _circle() -> tuple[PPoly, np.ndarray]:
-    radius = 0.085
-    return strokes(0.0, [(2 * pi * radius, 1 / radius, 1 / radius)])
-
-
 SHAPES = {
     "line": lambda: strokes(0.0, straight(0.5)),
-    "circle": _circle,
-    "sine": _sine,
+    "circle": lambda: strokes(0.0, [(2 * pi * 0.085, 1 / 0.085, 1 / 0.085)]),
+    # From a crest, so that it starts along x: two periods of 0.28 m, amplitude 35 mm.
+    "sine": lambda: heading_of_curve(lambda t: (0.28 * t, 0.035 * np.cos(2 * pi * t)), 2.0),
     "letter-U": lambda: strokes(-90.0, straight(0.14), turn(180.0, 0.05, 0.10), straight(0.14)),
     "letter-C": lambda: strokes(130.0, straight(0.02), turn(260.0, 0.07, 0.10), straight(0.02)),
     "letter-L": lambda: strokes(-90.0, straight(0.20), turn(90.0, 0.036, 0.055), straight(0.10)),

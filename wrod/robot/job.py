@@ -198,26 +198,20 @@ def neutral_poses(arm: Arm, task: ArmTask, first, last, around: list) -> np.ndar
 def _around(arm: Arm, task: ArmTask, node: int, stand: list | None = None):
     """Capsules (1, C, 3), (1, C, 3), (C,) in the table's frame of what stands in the way, or
     None."""
-    starts, ends, radii = [], [], []
+    found = []
     if stand is not None:
-        start, end, radius = zip(*stand, strict=True)
-        starts.append(np.array(start))
-        ends.append(np.array(end))
-        radii.append(np.array(radius))
+        found.append(tuple(map(np.array, zip(*stand, strict=True))))
     hanging = hanging_rod(task.trajectory)
     if hanging is not None:
         points = hanging[node]
-        starts.append(points[:-1])
-        ends.append(points[1:])
-        radii.append(np.full(len(points) - 1, task.rod_radius))
+        found.append((points[:-1], points[1:], np.full(len(points) - 1, task.rod_radius)))
     if task.obstacles is not None:
         start, end, radius = task.obstacles
-        starts.append(arm.placement.to_world(start))
-        ends.append(arm.placement.to_world(end))
-        radii.append(radius)
-    if not starts:
+        found.append((arm.placement.to_world(start), arm.placement.to_world(end), radius))
+    if not found:
         return None
-    return np.concatenate(starts)[None], np.concatenate(ends)[None], np.concatenate(radii)
+    starts, ends, radii = map(np.concatenate, zip(*found, strict=True))
+    return starts[None], ends[None], radii
 
 
 def _played(phase: str, robot, way: Transit, rate: float, laid: float) -> list[_Piece]:

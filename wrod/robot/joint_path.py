@@ -11,14 +11,7 @@ import numpy as np
 
 from wrod.arguments import checked, shown
 from wrod.errors import DataError
-from wrod.files import (
-    check_arrays,
-    decode_labels,
-    read_fields,
-    suffixed,
-    write_csv,
-    write_npz,
-)
+from wrod.files import check_arrays, decode_labels, read_fields, suffixed, write_csv, write_npz
 from wrod.records import brief, freeze, plain
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot

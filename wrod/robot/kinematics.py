@@ -107,11 +107,7 @@ def manipulability(jacobian: torch.Tensor) -> torch.Tensor:
 
 
 def refine(
-    robot: Robot,
-    positions: np.ndarray,
-    target: np.ndarray,
-    iterations: int = 12,
-    tolerance: float = 1e-10,
+    robot: Robot, positions: np.ndarray, target: np.ndarray, iterations: int = 12
 ) -> tuple[np.ndarray, np.ndarray]:
     """Newton iterations from nearby joint positions onto grasp poses, least motion.
 
@@ -129,7 +125,7 @@ def refine(
     with torch.no_grad():
         for _ in range(iterations):
             step, _, error = newton_step(robot, q, goal)
-            if error.abs().max() < tolerance:
+            if error.abs().max() < 1e-10:
                 break
             size = step.abs().amax(-1, keepdim=True)
             q = q + step * (0.3 / size.clamp_min(0.3))

@@ -6,7 +6,6 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -55,32 +54,28 @@ class Obstacles:
         return start, end, radius
 
 
-def _shape(path: Path, number: int, entry) -> LinkShape:
-    where = f"{path}: obstacle {number + 1}"
-    entry = {k: v for k, v in msgspec.to_builtins(entry).items() if v not in (None, "")}
-    kind, count = entry["kind"], _SIZES.get(entry["kind"], 3)
+def _shape(path: Path, number: int, entry: schemas.Obstacle) -> LinkShape:
+    where, kind = f"{path}: obstacle {number + 1}", entry.kind
 
-    def numbers(name: str, wanted: int, default) -> np.ndarray:
-        try:
-            values = np.atleast_1d(np.asarray(entry.get(name, default), dtype=float))
-        except (TypeError, ValueError, OverflowError):
-            values = np.array([])
+    def numbers(name: str, value, wanted: int) -> np.ndarray:
+        values = np.atleast_1d(np.asarray(value, dtype=float))
         if values.shape != (wanted,) or not (np.abs(values) <= 1e3).all():
             raise RobotError(f"{where}: {name} must be {wanted} finite numbers, at most 1000")
         return values
 
-    size = numbers("size", count, [1.0] * 3 if kind == "mesh" else None)
+    given = [1.0] * 3 if kind == "mesh" and entry.size is None else entry.size
+    size = numbers("size", given, _SIZES.get(kind, 3))
     if (size <= 0).any():
         raise RobotError(f"{where}: its size must be positive")
     pose = np.eye(4)
-    pose[:3, 3] = numbers("xyz", 3, [0.0] * 3)
-    pose[:3, :3] = Rotation.from_euler("xyz", numbers("rpy", 3, [0.0] * 3)).as_matrix()
+    pose[:3, 3] = entry.xyz
+    pose[:3, :3] = Rotation.from_euler("xyz", numbers("rpy", entry.rpy, 3)).as_matrix()
     file = None
     if kind == "mesh":
-        file = path.parent / str(entry.get("file", ""))
+        file = path.parent / (entry.file or "")
         if not file.is_file():
-            raise RobotError(f"{where}: its mesh file {str(entry.get('file'))!r} is missing")
-    name = str(entry.get("name", f"obstacle {number + 1}"))
+            raise RobotError(f"{where}: its mesh file {str(entry.file or None)!r} is missing")
+    name = entry.name or f"obstacle {number + 1}"
     return LinkShape(name, kind, tuple(map(float, size)), pose, (0.6, 0.45, 0.2), file)
 
 
@@ -97,16 +92,10 @@ def _bars(shape: LinkShape) -> list[Capsule]:
         )
     cell = size[across] / counts
     radius = float(np.hypot(*cell) / 2)
-    found = []
-    for i in range(counts[0]):
-        for j in range(counts[1]):
-            middle = np.zeros(3)
-            middle[across[0]] = (i + 0.5) * cell[0] - size[across[0]] / 2
-            middle[across[1]] = (j + 0.5) * cell[1] - size[across[1]] / 2
-            ends = []
-            for side in (-1.0, 1.0):
-                point = middle.copy()
-                point[long] = side * size[long] / 2
-                ends.append(shape.pose[:3, :3] @ point + shape.pose[:3, 3])
-            found.append((ends[0], ends[1], radius))
+    found, turn, at = [], shape.pose[:3, :3], shape.pose[:3, 3]
+    half = size[long] / 2 * np.eye(3)[long]
+    for number in np.ndindex(*counts):
+        middle = np.zeros(3)
+        middle[across] = (np.array(number) + 0.5) * cell - size[across] / 2
+        found.append((turn @ (middle - half) + at, turn @ (middle + half) + at, radius))
     return found

@@ -116,7 +116,8 @@ def solve_joint_path(
     """
     started = clock.perf_counter()
     angles = _angles(grip_angle)
-    fixed = None if _is_auto(placement) else Placement.parse(placement)
+    auto = isinstance(placement, str) and placement == "auto"
+    fixed = None if auto else Placement.parse(placement)
     if fixed is not None and table_height is not None:
         raise RobotError("a placement has the table's height in it; drop the table height")
     with one_torch_thread():
@@ -267,10 +268,6 @@ def low_end(trajectory, clearance: float) -> float | None:
     first = int(np.argmax(low))
     arc = trajectory.arc_length
     return float(arc[max(first - 1, 0)] / arc[-1])
-
-
-def _is_auto(placement) -> bool:
-    return isinstance(placement, str) and placement == "auto"
 
 
 def _angles(grip_angle) -> tuple[float, ...]:

@@ -193,11 +193,9 @@ def find_grasps(transfer: Transfer, hand: Hand) -> list[Grasp]:
                 transfer, hand, Grip(math.radians(angle), math.radians(roll)), 0.0
             )
             found.append((low, angle, grasp))
-        best = {}
-        for low, angle, grasp in found:  # of each angle the roll that stays highest
-            if angle not in best or low > best[angle][0]:
-                best[angle] = (low, angle, grasp)
-        found = list(best.values())
+        # Of each angle the roll that stays highest.
+        of_angle = [[one for one in found if one[1] == angle] for angle in _END_ANGLES]
+        found = [max(ones, key=lambda one: one[0]) for ones in of_angle]
     else:
         # Half a turn about the fingers is the same grasp for the rod, and another for the arm.
         for slant, back in product(_SLANTS, (False, True)):

@@ -66,7 +66,6 @@ def solve_two_arms(
     film: HandFilm,
     ground: np.ndarray,
     *,
-    robot="sawyer",
     placements: tuple[Placement, Placement] | None = None,
 ) -> ArmFilm:
     """Joint paths of two arms, one for each hand.
@@ -78,7 +77,6 @@ def solve_two_arms(
     Args:
         film: of the hands; a second hand is idle if there is only one.
         ground: (n, 3) points of the table that must lie before the arms [m].
-        robot: as for `wrod.load_robot`.
         placements: tried first, as found for a similar film.
 
     Raises:
@@ -93,7 +91,7 @@ def solve_two_arms(
             film.rods,
         )
     with one_torch_thread():
-        arm = load_robot(robot)
+        arm = load_robot()
         model = CollisionModel(arm)
         hand = Hand.of(model)
         transfers = find_transfers(film)

@@ -157,11 +157,11 @@ class UrdfFile:
         colors = {
             material.get("name"): _color(material) for material in self.root.findall("material")
         }
-        found = []
-        for link in self.root.findall("link"):
-            for element in link.findall(tag):
-                found.append(self._shape(link.get("name"), element, colors))
-        return found
+        return [
+            self._shape(link.get("name"), element, colors)
+            for link in self.root.findall("link")
+            for element in link.findall(tag)
+        ]
 
     def _shape(self, link: str, element: ElementTree.Element, colors: dict) -> LinkShape:
         pose = _origin(element.find("origin"))
