@@ -92,7 +92,7 @@ def test_published_closures_of_the_straight_pattern(closure, position, size):
 def test_minimising_closures_are_minima_of_the_family(closure):
     """Neighbouring grasps of the same family, by their thrust, are all worse."""
     from wrod.grasps.inputs import CLOSURES
-    from wrod.grasps.solver import GraspSolver
+    from wrod.grasps.manifold.optima import GraspSolver
 
     inputs = [np.array(v) for v in ([17.68, 6.0], [2.0, 0.8], [2087.0, 500.0])]
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -83,9 +82,10 @@ def optimise(
     Raises:
         PatternError: friction is not usable, or the trajectory is too short to be laid.
     """
-    how: dict[str, Any] = dict(limits=limits, pace=pace, samples=samples, hold=hold, device=device)
-    how |= {"time_limit": time_limit}
-    return optimise_rivals([(pattern, trajectory)], rod, friction, judge=judge, **how)
+    return optimise_rivals(
+        [(pattern, trajectory)], rod, friction, limits=limits, pace=pace, judge=judge,
+        time_limit=time_limit, samples=samples, hold=hold, device=device,
+    )  # fmt: skip
 
 
 def optimise_rivals(
@@ -95,11 +95,9 @@ def optimise_rivals(
     *,
     limits: Limits | None = None,
     pace: float | tuple[float, float] = PACE,
-    samples: int | None = None,
-    hold: float = 0.05,
     judge: bool = True,
     time_limit: float | None = None,
-    device: arguments.DeviceLike = "cpu",
+    **how,
 ) -> Trajectory:
     """`optimise` of each of several patterns and their trajectories, such as a pattern with one
     remainder and with another; what is returned is the plan by which unseen rods lie best."""
@@ -110,7 +108,6 @@ def optimise_rivals(
         for pattern, trajectory in rivals
         for v in values.tolist()
     ]
-    how: dict[str, Any] = dict(samples=samples, hold=hold, device=device)
     made = optimise_each(tasks, judge=judge or len(tasks) > 1, **how)
     count = len(values)
     return best_of([_fastest(made[k : k + count]) for k in range(0, len(made), count)])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from wrod.deployment.corrections import Corrections
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import with_tail
-from wrod.planning.trajectory import Trajectory, part_of
+from wrod.planning.trajectory import Trajectory, followed_by, part_of
 
 # Over how long a way the grip turns round, and how far apart its new poses are [m].
 _TURN, _SPACING = 0.01, 0.005
@@ -81,14 +81,9 @@ class GripWay:
             for points in (self.path.contact, self.path.position)
         )
         rotation = RotationSpline(known, Rotation.from_matrix(self.path.rotation[first:]))(s)
-        path = replace(
-            self.path,
-            arc_length=np.concatenate([self.path.arc_length[:n], start + x]),
-            contact=np.concatenate([self.path.contact[:n], contact]),
-            position=np.concatenate([self.path.position[:n], position]),
-            rotation=np.concatenate([self.path.rotation[:n], rotation.as_matrix()]),
-            force=np.concatenate([self.path.force[:n], np.full_like(position, np.nan)]),
-            shape=None,
-            twist=None,
-        )
+        path = followed_by(
+            replace(done.path, shape=None, twist=None),
+            arc_length=start + x, contact=contact, position=position,
+            rotation=rotation.as_matrix(), force=np.full_like(position, np.nan),
+        )  # fmt: skip
         return GripWay(path, np.concatenate([self.laid[:n], s])), float(start + turn)

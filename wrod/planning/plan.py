@@ -171,7 +171,7 @@ def _trajectory(
         course: contacts (T, 3) [m], tangents (T, 3) and curvatures (T,) [1/m] of the pattern there.
         poses: of the T grasps.
         roll: at which the rod is held [rad].
-        said: method, closure and warnings.
+        said: method, closure, solver and warnings.
     """
     contact, tangent, curvature = course
     lgb, frame = rod.gravito_bending_length, contact_frame(tangent)
@@ -190,9 +190,7 @@ def _trajectory(
         rotation=frame @ Rotation.from_rotvec(poses.rotation).as_matrix(),
         force=force_unit * np.einsum("tij,tj->ti", frame, poses.force),
         metadata={
-            "method": said["method"],
-            "closure": said["closure"],
-            "solver": said["solver"],
+            **said,
             "pattern": pattern.name,
             "pattern_length": pattern.length,
             "remainder_length": pattern.remainder_length,
@@ -200,7 +198,6 @@ def _trajectory(
             "required_friction": float(np.max(friction_bound(pattern, rod).required)),
             "contact_friction": _contact_friction(poses.force),
             "largest_curvature": float(np.max(np.abs(curvature))),
-            "warnings": said["warnings"],
             **aside,
         },
         shape=shape,

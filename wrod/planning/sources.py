@@ -56,13 +56,11 @@ class GraspInputs:
         *,
         roll: float = 0.0,
         closure: str = "zero_tension",
-        device: arguments.DeviceLike = None,
-        progress: Callable[[int, int], object] | None = None,
-        controller: Controller | None = None,
-        eigenvalues: bool = True,
+        **others,
     ) -> GraspInputs:
         """Inputs of a rod: suspended length (T,) [m] and curvature (T,) [1/m] at the contacts, and
-        the roll that it is held at [rad] (see `RodMaterial.curvature_held`)."""
+        the roll that it is held at [rad] (see `RodMaterial.curvature_held`); `others` are fields
+        as they are."""
         lgb = rod.gravito_bending_length
         left, up = rod.curvature_held(roll)
         model = RodModel.of(rod)
@@ -72,14 +70,11 @@ class GraspInputs:
             curvature * lgb,
             rod.stretch_ratio,
             closure,
-            device,
-            progress,
-            (left * lgb, up * lgb),
-            rod.poisson,
-            controller,
-            None if model.is_uniform and -1.0 < rod.poisson <= 0.5 + 1e-9 else model,
-            roll,
-            eigenvalues,
+            natural_curvature=(left * lgb, up * lgb),
+            poisson=rod.poisson,
+            rod=None if model.is_uniform and -1.0 < rod.poisson <= 0.5 + 1e-9 else model,
+            roll=roll,
+            **others,
         )
 
     @property

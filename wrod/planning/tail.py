@@ -14,7 +14,7 @@ from wrod.patterns.pattern import Pattern
 from wrod.planning.hold import as_held
 from wrod.planning.shapes import course_of, led_along, placed
 from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
-from wrod.planning.trajectory import Trajectory
+from wrod.planning.trajectory import Trajectory, followed_by
 from wrod.rods.model import Rod
 
 _SPACING = 0.01  # [m]
@@ -125,24 +125,17 @@ def with_tail(
     if count < 3:
         return None
     new = slice(1, count + 1)
-    shape = None
+    rows = {
+        "arc_length": found.laid[new], "contact": found.contact[new],
+        "position": found.position[new], "rotation": found.rotation[new],
+        "force": np.full((count, 3), np.nan),
+    }  # fmt: skip
     if shapes:
         fit = CubicSpline(np.linspace(0.0, 1.0, found.shape.shape[1]), found.shape[new], axis=1)
-        more = fit(np.linspace(0.0, 1.0, trajectory.shape.shape[1]))
-        shape = np.concatenate([trajectory.shape, more])
-    twist = trajectory.twist
-    if twist is not None:
-        twist = np.concatenate([twist, np.repeat(twist[-1:], count)])
-    return replace(
-        trajectory,
-        arc_length=np.concatenate([trajectory.arc_length, found.laid[new]]),
-        contact=np.concatenate([trajectory.contact, found.contact[new]]),
-        position=np.concatenate([trajectory.position, found.position[new]]),
-        rotation=np.concatenate([trajectory.rotation, found.rotation[new]]),
-        force=np.concatenate([trajectory.force, np.full((count, 3), np.nan)]),
-        shape=shape,
-        twist=twist,
-    )
+        rows["shape"] = fit(np.linspace(0.0, 1.0, trajectory.shape.shape[1]))
+    if trajectory.twist is not None:
+        rows["twist"] = np.repeat(trajectory.twist[-1:], count)
+    return followed_by(trajectory, **rows)
 
 
 def _end(pattern: Pattern | None, trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray, float]:

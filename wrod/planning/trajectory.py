@@ -6,6 +6,7 @@ import json
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -156,16 +157,8 @@ class Trajectory:
         columns += [f"{name}_{axis} [m]" for name in ("contact", "position") for axis in "xyz"]
         columns += [f"rotation_{i}{j} [-]" for i in "xyz" for j in "xyz"]
         columns += [f"force_{axis} [N]" for axis in "xyz"]
-        rows = np.column_stack(
-            [
-                self.arc_length,
-                self.contact,
-                self.position,
-                self.rotation.reshape(len(self), 9),
-                self.force,
-            ]
-        )
-
+        turned = self.rotation.reshape(len(self), 9)
+        rows = np.column_stack([self.arc_length, self.contact, self.position, turned, self.force])
         told = {**self.metadata, "beyond_grip": self.beyond_grip}
         try:
             metadata, head = (json.dumps(one, sort_keys=True) for one in (self.metadata, told))
@@ -211,6 +204,14 @@ def part_of(trajectory: Trajectory, nodes: slice | np.ndarray) -> Trajectory:
     """The trajectory at some of its nodes."""
     rows = {name: getattr(trajectory, name) for name in _ROWS}
     return replace(trajectory, **{k: v[nodes] for k, v in rows.items() if v is not None})
+
+
+def followed_by(trajectory: Trajectory, **rows: np.ndarray) -> Trajectory:
+    """The trajectory with arrays of further nodes behind its own."""
+    joined: dict[str, Any] = {
+        k: np.concatenate([getattr(trajectory, k), v]) for k, v in rows.items()
+    }
+    return replace(trajectory, **joined)
 
 
 def out_of_reach(trajectory: Trajectory) -> np.ndarray:

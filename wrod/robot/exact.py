@@ -7,6 +7,7 @@ poses and pairs whose capsules come too near are looked at again, mesh against m
 from __future__ import annotations
 
 import warnings
+from functools import cache
 
 import numpy as np
 
@@ -27,8 +28,9 @@ class ExactShapes:
 
         self._coal = coal
         self.shapes = shapes
-        self._geometry: dict[int, object] = {}  # made when first asked for: large meshes take long
-        self._vertices: dict[int, tuple] = {}
+        # Made when first asked for: large meshes take long.
+        self._geometry = cache(lambda index: self._made(shapes[index]))
+        self._vertices = cache(lambda index: _vertices(shapes[index]))
 
     @classmethod
     def of(cls, shapes: list[LinkShape]) -> ExactShapes | None:
@@ -45,11 +47,6 @@ class ExactShapes:
                 stacklevel=3,
             )
             return None
-
-    def _of(self, index: int):
-        if index not in self._geometry:
-            self._geometry[index] = self._made(self.shapes[index])
-        return self._geometry[index]
 
     def _made(self, shape: LinkShape):
         coal = self._coal
@@ -82,16 +79,13 @@ class ExactShapes:
             placed.append(coal.Transform3s(np.ascontiguousarray(at[:3, :3]), at[:3, 3].copy()))
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         request.enable_signed_distance = False
-        distance = coal.distance(
-            self._of(first), placed[0], self._of(second), placed[1], request, result
-        )
+        a, b = self._geometry(first), self._geometry(second)
+        distance = coal.distance(a, placed[0], b, placed[1], request, result)
         return max(float(distance), 0.0)
 
     def lowest(self, index: int, poses: np.ndarray) -> np.ndarray:
         """(K,) height [m] of the lowest point of a shape at poses (K, 4, 4) of its link."""
-        if index not in self._vertices:
-            self._vertices[index] = _vertices(self.shapes[index])
-        points, radius = self._vertices[index]
+        points, radius = self._vertices(index)
         up = poses[:, 2, :3] @ points.T + poses[:, 2, 3:4]
         return up.min(1) - radius
 
