@@ -18,7 +18,7 @@ from wrod.deployment.assembly import INTERNAL_DAMPING
 from wrod.deployment.discretisation import Discretisation
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.setup import Disturbance, Setup, blend
-from wrod.deployment.simulate import Trial, prepare_trials, with_remainder_of
+from wrod.deployment.simulate import Trial, prepare_trials
 from wrod.errors import RodError, needed_extras
 from wrod.patterns.pattern import Pattern
 from wrod.rods.material import RodMaterial
@@ -211,9 +211,7 @@ def lay_in_mujoco(
         if not released and t > setup.schedule.release_time:
             data.eq_active[1:], released = 0, True
         one.step()
-    ends = one.nodes()
-    pattern = with_remainder_of(trial.pattern, trial.trajectory)
-    return setup.arc_length, ends - [0.0, 0.0, rod.radius - pattern.sample(0.0)[0][0, 2]]
+    return setup.arc_length, one.nodes() - setup.lift
 
 
 def put_down_in_mujoco(

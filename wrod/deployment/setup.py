@@ -145,6 +145,7 @@ class Setup:
         measure_time: when the first measurement is due, the grip still holding [s].
         end_time: when the second is due [s].
         covered: (key,) laid length that the trajectory has come to at each key [m].
+        lift: of the rod's middle over the pattern's plane, which is here on the table [m].
     """
 
     arc_length: np.ndarray
@@ -156,6 +157,7 @@ class Setup:
     measure_time: float
     end_time: float
     covered: np.ndarray | None = None
+    lift: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def prepare_deployment(
@@ -186,7 +188,6 @@ def prepare_deployment(
         )
     start = float(laid[first])
     offset = -pattern.remainder_length
-    height = pattern.sample(0.0)[0][0, 2]
     (contact,), (tangent,), (curvature,) = pattern.sample(start + offset)
     side = np.cross([0.0, 0.0, 1.0], tangent)
     frame = np.column_stack([tangent, side, [0.0, 0.0, 1.0]])
@@ -219,20 +220,15 @@ def prepare_deployment(
         path, tail, begin, turns, release, int(on_table.sum()), speed
     )
     # The rod's centreline is a radius above the table.
-    lift = np.array([0.0, 0.0, rod.radius - height])
+    lift = 0.0, 0.0, rod.radius - pattern.sample(0.0)[0][0, 2]
+    schedule = replace(schedule, position=schedule.position + lift)
     (origin,), (ahead,), _ = pattern.sample(offset)
     origin[2] = 0.0
+    director = np.cross([0.0, 0.0, 1.0], ahead)
     return Setup(
-        arc_length,
-        position + lift,
-        np.cross([0.0, 0.0, 1.0], ahead),
-        origin,
-        replace(schedule, position=schedule.position + lift),
-        approach,
-        measure_time,
-        end_time,
-        covered,
-    )
+        arc_length, position + lift, director, origin, schedule, approach, measure_time, end_time,
+        covered, lift,
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=1024)

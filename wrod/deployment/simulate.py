@@ -272,14 +272,13 @@ def _simulate(
     deployments = []
     for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
         pattern = with_remainder_of(trial.pattern, trial.trajectory)
-        sink = np.array([0.0, 0.0, trial.rod.radius - pattern.sample(0.0)[0][0, 2]])
-        now, later = laid[k] - sink, released[k] - sink
+        now, later = laid[k] - setup.lift, released[k] - setup.lift
         pictures = hand = None
         if film is not None:
             number = int(np.floor(end.time[k] / frame_interval + 1e-9)) + 1
-            pictures = node_positions(film[k, :number])[:, :count] - sink
+            pictures = node_positions(film[k, :number])[:, :count] - setup.lift
             hand = setup.schedule.poses(frame_interval * np.arange(number))
-            hand[:, :3, 3] -= sink
+            hand[:, :3, 3] -= setup.lift
         deployments.append(
             Deployment(
                 setup.arc_length,

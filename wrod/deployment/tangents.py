@@ -18,7 +18,7 @@ from wrod.deployment.remembered import LaidParts, LastDeployments
 from wrod.deployment.result import interpolation
 from wrod.deployment.setup import Setup, blend
 from wrod.deployment.sharing_out import chunks, shared_out
-from wrod.deployment.simulate import nodes_needed, prepare_trials, with_remainder_of
+from wrod.deployment.simulate import nodes_needed, prepare_trials
 from wrod.deployment.trial import Trial
 from wrod.errors import RodError
 from wrod.rods.device import resolve_device
@@ -218,19 +218,10 @@ def _laid(
     if tangents is not None:
         rates = tangents.values()[:, :, :-1]
     laid = []
-    for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
-        pattern = with_remainder_of(trial.pattern, trial.trajectory)
-        sink = np.array([0.0, 0.0, trial.rod.radius - pattern.sample(0.0)[0][0, 2]])
-        laid.append(
-            Laid(
-                setup.arc_length,
-                positions[k] - sink,
-                rates[k],
-                slip[k].copy(),
-                bool(end.diverged[k]),
-                int(end.steps[k]),
-            )
-        )
+    for k, setup in enumerate(setups):
+        lies, went = positions[k] - setup.lift, slip[k].copy()
+        diverged, steps = bool(end.diverged[k]), int(end.steps[k])
+        laid.append(Laid(setup.arc_length, lies, rates[k], went, diverged, steps))
     return laid
 
 
