@@ -239,14 +239,10 @@ class LayingVectorEnv(OnDevice, VectorEnv):
             target = self.pattern.sample(ahead)[0]
             at = np.linspace(0.0, setup.arc_length[-1], _ROD_POINTS)
             rod = np.column_stack([np.interp(at, setup.arc_length, c) for c in nodes[k].T])
-            rows.append(
-                np.concatenate(
-                    [
-                        [laid / float(self.trajectory.arc_length[-1])],
-                        self.offset[k] / self.scale,
-                        (rod - target[0]).ravel(),
-                        (target - target[0])[:, :2].ravel(),
-                    ]
-                )
+            share, offset = (
+                laid / float(self.trajectory.arc_length[-1]),
+                self.offset[k] / self.scale,
             )
+            seen = (rod - target[0]).ravel(), (target - target[0])[:, :2].ravel()
+            rows.append(np.concatenate([[share], offset, *seen]))
         return np.stack(rows)

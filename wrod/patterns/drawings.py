@@ -15,7 +15,7 @@ from wrod.patterns.drawing_checks import (
     check_svg,
     count_points,
 )
-from wrod.patterns.files import RawPoints
+from wrod.patterns.files import RawPoints, unit_scale
 
 SUFFIXES = (".svg", ".dxf")
 _SPACING = 0.001  # [m] between points on bent parts
@@ -187,8 +187,6 @@ def _dxf(path: Path, units: str | None, layer: str | None) -> list[np.ndarray]:
     import ezdxf
     from ezdxf import disassemble
     from ezdxf import path as dxf_path
-
-    from wrod.patterns.files import unit_scale
 
     try:
         document = ezdxf.readfile(path)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from wrod.robot.grip import TURN_LENGTH
-from wrod.robot.kinematics import refine
+from wrod.robot.kinematics import grasp_poses, pose_error, refine
 from wrod.robot.model import Robot
 
 COARSEST = 0.0015  # [m] of travel between two knots, at first
@@ -61,8 +61,6 @@ def joint_spline(
 def _miss(robot: Robot, positions: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """(K,) distance from the poses [m], a radian counting `TURN_LENGTH`."""
     import torch
-
-    from wrod.robot.kinematics import grasp_poses, pose_error
 
     error = pose_error(
         torch.from_numpy(grasp_poses(robot, positions)), torch.from_numpy(targets)

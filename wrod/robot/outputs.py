@@ -5,6 +5,7 @@ import io
 import json
 import os
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from wrod.errors import RobotError, needed_extras
 from wrod.files import write_atomically
 from wrod.robot.joint_path import JointPath
+from wrod.robot.kinematics import grasp_poses
 from wrod.rods.rotation import one_hemisphere
 
 # name -> (file, what it is)
@@ -73,8 +75,6 @@ def _written(path: Path, data: bytes) -> Path:
 
 def suited(path: JointPath) -> list[str]:
     """The formats that suit a joint path's arm, of those whose libraries are there."""
-    from importlib.util import find_spec
-
     names = ["ros-yaml", "ros-json", "poses", "phases"]
     names += ["mcap"] * (find_spec("mcap") is not None)
     # Joints bear the makers' names in all descriptions, with prefixes.
@@ -254,8 +254,6 @@ def _poses(path: JointPath) -> str:
     """CSV of timed poses of the grasp in the robot's base frame, unit quaternions x, y, z, w."""
     if path.robot is None:
         raise RobotError("poses need the robot; load the joint path with it")
-    from wrod.robot.kinematics import grasp_poses
-
     poses = grasp_poses(path.robot, path.positions)
     turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     rows = np.column_stack([path.time, poses[:, :3, 3], one_hemisphere(turns)])

@@ -7,9 +7,13 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from wrod.errors import RobotError
+from wrod.files import write_figure
+from wrod.robot.kinematics import one_torch_thread
 from wrod.robot.model import ROBOTS, load_robot
+from wrod.robot.placement import reach
 from wrod.robot.solve import FAR, UnreachedError, attempt, headings, low_end, turning
 from wrod.robot.tail import FINGERS
+from wrod.rods.model import RodModel
 
 _TURN_ROOM = 0.2  # [rad] that a last joint should have left
 # Shares of a last joint's turn that a spun hand is left with, and the most that it may twist the
@@ -47,8 +51,6 @@ def other_height(
         candidates: heights -> placements.
         until: when to stop [s of the monotonic clock].
     """
-    from wrod.robot.kinematics import one_torch_thread
-
     middle = failed.best.branch.placement.z
     task = failed.task
     with one_torch_thread():
@@ -72,9 +74,6 @@ def other_height(
 def draw_reach(path, failed: UnreachedError):
     """Picture of where the pattern lay in the nearest attempt, and where else it was tried."""
     from matplotlib.figure import Figure
-
-    from wrod.files import write_figure
-    from wrod.robot.placement import reach
 
     task, best = failed.task, failed.best
     place = best.branch.placement
@@ -143,8 +142,6 @@ def remedies(
 def spins(task, rod, lead_in: float = 0.0) -> list[float]:
     """Spins [degrees] against the pattern's turns after which the last joint has room, where it has
     none, two at most; without a lead-in of such a length [m]."""
-    from wrod.rods.model import RodModel
-
     trajectory = task.trajectory
     turned, room = turning(task)
     if turned <= room or trajectory.spin != 0.0 or RodModel.of(rod).has_sides:
