@@ -239,10 +239,7 @@ class LayingVectorEnv(OnDevice, VectorEnv):
             target = self.pattern.sample(ahead)[0]
             at = np.linspace(0.0, setup.arc_length[-1], _ROD_POINTS)
             rod = np.column_stack([np.interp(at, setup.arc_length, c) for c in nodes[k].T])
-            share, offset = (
-                laid / float(self.trajectory.arc_length[-1]),
-                self.offset[k] / self.scale,
-            )
+            share = laid / float(self.trajectory.arc_length[-1])
             seen = (rod - target[0]).ravel(), (target - target[0])[:, :2].ravel()
-            rows.append(np.concatenate([[share], offset, *seen]))
+            rows.append(np.concatenate([[share], self.offset[k] / self.scale, *seen]))
         return np.stack(rows)
