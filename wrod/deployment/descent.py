@@ -22,7 +22,7 @@ from wrod.deployment.expectation import (
     misplacement,
 )
 from wrod.deployment.remembered import LastDeployments
-from wrod.deployment.result import METRIC_POINTS
+from wrod.deployment.result import METRIC_POINTS, metric_points
 from wrod.deployment.simulate import Trial, nodes_needed
 from wrod.deployment.spread import Spread
 from wrod.deployment.tangents import Directions, Laid
@@ -209,7 +209,7 @@ class Problem:
         task, corrections = self.task, self.corrections
         parts = [misplacement(task.pattern, one) for one in laid]
         parts = [(error, np.pad(rates, ((0, 0), (fixed, 0)))) for error, rates in parts]
-        s = np.linspace(0.0, task.pattern.length, METRIC_POINTS)
+        s, _ = metric_points(task.pattern)
         counts = np.clip((end - s) / (_FADE * corrections.lgb) + 1.0, 0.0, 1.0)
         errors = np.array(
             [np.average(np.hypot(*e.reshape(2, -1)), weights=counts) for e, _ in parts]

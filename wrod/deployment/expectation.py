@@ -9,7 +9,7 @@ import numpy as np
 
 from wrod import arguments
 from wrod.deployment.discretisation import Discretisation
-from wrod.deployment.result import METRIC_POINTS, interpolation
+from wrod.deployment.result import interpolation, metric_points
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread, stretching
@@ -137,7 +137,7 @@ def rougher(
     error = distances(pattern, laid)
     error[[one.diverged for one in laid]] = np.inf
     error = error.reshape(len(trajectories), len(mus), -1)
-    s = np.linspace(0.0, pattern.length, METRIC_POINTS)
+    s, _ = metric_points(pattern)
     out: list[float | None] = []
     for (start, stop, _), asked in zip(expected["off"], lost, strict=True):
         inside = (s >= start) & (s <= stop)
@@ -191,7 +191,7 @@ class Unseen:
                 for one, disturbance in zip(laid, self.disturbances, strict=True)
             ]
         )
-        s = np.linspace(0.0, pattern.length, METRIC_POINTS)
+        s, _ = metric_points(pattern)
         slid = [np.interp(s + pattern.remainder_length, x.arc_length, x.slip) > _SLID for x in laid]
         bad = own > _OFF
         off = [
@@ -250,8 +250,8 @@ def _robot_errors(
 ) -> np.ndarray:
     """(50,) of `robot_error` [m]."""
     (origin,), _, _ = pattern.sample(-pattern.remainder_length)
-    s = np.linspace(0.0, pattern.length, METRIC_POINTS)
-    target = disturbance.displaced(pattern.sample(s)[0], origin)
+    s, meant = metric_points(pattern)
+    target = disturbance.displaced(meant, origin)
     lies = interpolation(s + pattern.remainder_length, arc_length) @ centerline
     return np.hypot(*(lies - target)[:, :2].T)
 
@@ -282,10 +282,9 @@ def _stretches(s: np.ndarray, chosen: np.ndarray) -> list[list[float]]:
 def misplacement(pattern: Pattern, laid: Laid) -> tuple[np.ndarray, np.ndarray]:
     """(2 x 50,) horizontal displacement of what lies at the points of the metric [m], and (2 x 50,
     column) its derivatives."""
-    s = np.linspace(0.0, pattern.length, METRIC_POINTS)
-    target = pattern.sample(s)[0][:, :2]
+    s, target = metric_points(pattern)
     weights = interpolation(s + pattern.remainder_length, laid.arc_length)
-    error = (weights @ laid.centerline[:, :2] - target).T.ravel()
+    error = (weights @ laid.centerline[:, :2] - target[:, :2]).T.ravel()
     rates = np.einsum("pn,cnd->dpc", weights, laid.tangent[:, :, :2])
     return error, rates.reshape(2 * len(s), -1)
 

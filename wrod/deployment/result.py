@@ -101,7 +101,7 @@ def errors_along(
         arc_length: (node,) arc length from the free end [m].
         centerline: (node, 3) [m].
     """
-    s, target = _metric_points(pattern)
+    s, target = metric_points(pattern)
     on_rod = [
         np.interp(s + pattern.remainder_length, arc_length, centerline[:, c]) for c in range(2)
     ]
@@ -109,7 +109,7 @@ def errors_along(
 
 
 @lru_cache(maxsize=256)
-def _metric_points(pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
+def metric_points(pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
     """Arc length (50,) and position (50, 3) [m]; a pattern is laid again and again."""
     s = np.linspace(0.0, pattern.length, METRIC_POINTS)
     return s, pattern.sample(s)[0]
