@@ -116,14 +116,10 @@ class Fixtures:
     note: str = ""
 
     def __post_init__(self) -> None:
-        for argument, wrong in (
-            ("items", arguments.several(_IS_FIXTURE, least=0)(self.items)),
-            ("gates", arguments.several(_IS_GATE, least=0)(self.gates)),
-            ("name", arguments.text(self.name)),
-            ("note", arguments.text(self.note)),
-        ):
-            if wrong is not None:
-                raise SceneError(f"Fixtures: {argument} {wrong}")
+        arguments.check_fields(
+            self, SceneError, items=arguments.several(_IS_FIXTURE, least=0),
+            gates=arguments.several(_IS_GATE, least=0), name=arguments.text, note=arguments.text,
+        )  # fmt: skip
         object.__setattr__(self, "items", tuple(self.items))
         object.__setattr__(self, "gates", tuple(map(tuple, self.gates)))
         names = [item.name for item in self.items]
