@@ -12,15 +12,13 @@ from wrod.errors import DataError
 from wrod.identification.effect import Effect, Model, Parameter, effects
 from wrod.identification.motion import selection
 from wrod.identification.motion import solver as motion_solver
-from wrod.identification.motion.confounding import correlations_of
+from wrod.identification.motion.data import folds, noise_in_time, split_evenly, with_test
 from wrod.identification.motion.fit import Linearised, MotionLaboratory
+from wrod.identification.motion.linearised import correlations_of, losses_of, promises_of
 from wrod.identification.motion.loading import motion_from_arrays
-from wrod.identification.motion.noise import noise_in_time
-from wrod.identification.motion.promises import losses_of, promises_of
 from wrod.identification.motion.remembered import KnownSteps
 from wrod.identification.motion.selection import select_motion, verdict_of
-from wrod.identification.motion.solver import MotionSolver
-from wrod.identification.motion.split import folds, split_evenly, with_test
+from wrod.identification.motion.solver import MotionRun
 from wrod.identification.motion.tangents import COMPLEX_STEP
 
 RECORDINGS, FRAMES, MARKERS = 12, 16, 9
@@ -107,9 +105,9 @@ def test_twist_starts_where_newton_fails(measured, monkeypatch):
     model = Model((known["natural_curvature_profile"], known["grip_roll"]))
     values = np.r_[np.random.default_rng(6).normal(0.0, 25.0, 20), 2.0]
     setup = model.setup(rod.base, values)
-    solver = MotionSolver(rod.windows([0], frames=3), measured.rate)
-    solver.run(setup)
-    assert not solver.failed.any()
+    run = MotionRun(rod.windows([0], frames=3), measured.rate, setup)
+    run.begin()
+    assert not run.finish()[2].any()
 
 
 class _Linear(MotionLaboratory):

@@ -27,11 +27,11 @@ def fold_row(
     import numpy as np
 
     from wrod.identification.effect import Model, effects
+    from wrod.identification.motion.data import folds, with_test
     from wrod.identification.motion.fit import MotionLaboratory, errors_of
     from wrod.identification.motion.loading import load_motion
     from wrod.identification.motion.remembered import KnownSteps
     from wrod.identification.motion.selection import BASE, select_motion
-    from wrod.identification.motion.split import folds, with_test
 
     clock, cpu = time.perf_counter(), time.process_time()
     m = load_motion(path)

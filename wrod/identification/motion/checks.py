@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 
 from wrod.errors import DataError, WrodWarning
+from wrod.rods.rotation import unit
 
 # A rod of this length [m], or a thousandth of it, was not given in metres; nor moves one so [m/s].
 _FAR = 10.0
@@ -42,11 +43,7 @@ def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
     edge = np.linalg.norm(np.diff(x, axis=2), axis=3)
     mean = np.median(edge, axis=(0, 1))
     length = mean.sum()
-    if length > _FAR or np.abs(x).max() > 10 * _FAR:
-        raise DataError(
-            f"{where}: the rod would be {length:.3g} m long; positions must be in metres"
-        )
-    if length < 1e-3 * _FAR:
+    if not 1e-3 * _FAR <= length <= _FAR or np.abs(x).max() > 10 * _FAR:
         raise DataError(
             f"{where}: the rod would be {length:.3g} m long; positions must be in metres"
         )
@@ -96,7 +93,8 @@ def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
         )
     _check_ends(x, names, where)
     _check_order(x, where)
-    hurry = _acceleration(x, rate, noise)
+    lag, size = _lag(x, noise)
+    hurry = size * (rate / lag) ** 2
     if hurry > _HURRIED:
         raise DataError(
             f"{where}: markers are accelerated by {hurry:.0f} m/s^2 in the median, which no grip "
@@ -159,12 +157,6 @@ def _noise(x: np.ndarray) -> float:
     return float(np.median(np.abs(np.diff(x, 4, axis=1))) * 1.4826 / np.sqrt(70.0))
 
 
-def _acceleration(x: np.ndarray, rate: float, noise: float) -> float:
-    """Median acceleration of the markers [m/s^2], over so many frames that noise is no part."""
-    lag, size = _lag(x, noise)
-    return size * (rate / lag) ** 2
-
-
 def _lag(x: np.ndarray, noise: float) -> tuple[int, float]:
     """Frames between which second differences are seen above the noise, and their median [m]."""
     most = (x.shape[1] - 1) // 2
@@ -192,8 +184,7 @@ def inertia_share(x: np.ndarray, rate: float, gravity: float) -> tuple[float, fl
     lag, _ = _lag(x, _noise(x))
     at = x[:, lag:-lag, 1:-1]
     moved = x[:, 2 * lag :, 1:-1] - 2.0 * at + x[:, : -2 * lag, 1:-1]
-    line = at[:, :, -1] - at[:, :, 0]
-    line = line / np.linalg.norm(line, axis=-1, keepdims=True)
+    line = unit(at[:, :, -1] - at[:, :, 0])
     edge = np.linalg.norm(np.diff(at, axis=2), axis=-1)
     weight = np.zeros(at.shape[:3])
     weight[:, :, :-1] += 0.5 * edge
@@ -243,8 +234,7 @@ def doubt_gravity(x: np.ndarray, names, where: str) -> None:
             its grips push up hangs so, too.
     """
     start, end = x[:, :, 1], x[:, :, -2]
-    line = end - start
-    line = line / np.linalg.norm(line, axis=-1, keepdims=True)
+    line = unit(end - start)
     sag = x[:, :, 2:-2].mean(axis=2) - 0.5 * (start + end)
     sag = (sag - np.sum(sag * line, axis=-1, keepdims=True) * line).mean(axis=1)
     length = np.linalg.norm(np.diff(x, axis=2), axis=3).mean(axis=(0, 1)).sum()

@@ -1,4 +1,5 @@
-"""Recordings of a held rod in motion, and what they say of it before any model."""
+"""Recordings of a held rod in motion, which of them are fitted, which choose the effects and which
+are only scored on, and what they say of the rod before any model."""
 
 from __future__ import annotations
 
@@ -10,9 +11,71 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.identification.motion.curves import spline_lengths
-from wrod.identification.motion.noise import TimeNoise, noise_in_time
 from wrod.identification.motion.setup import START_L_GB
 from wrod.records import brief
+from wrod.rods.rotation import unit
+
+# Slow noise and the mean over a recording are told apart by iteration.
+_ROUNDS, _LARGEST = 20, 0.99
+# Too few frames to tell a correlation from.
+_FEWEST = 20
+# Every so many recordings are scored on, and of the others choose effects.
+_TEST, _VALIDATION = 7, 3
+
+
+@dataclass(frozen=True)
+class TimeNoise:
+    """Noise of a marker's coordinate in time, slow noise included.
+
+    Noise that hangs together from frame to frame looks like motion, except in the distance of a
+    grip's two markers, which are on one rigid body. What that varies by is noise: a white part, and
+    one that decays from frame to frame (AR(1): of cameras whose errors change with the place).
+
+    Attributes:
+        white: standard deviation of what is new in every frame [m].
+        slow: of what decays over frames [m]; correlation: of that from one frame to the next.
+    """
+
+    white: float
+    slow: float
+    correlation: float
+
+    @property
+    def std(self) -> float:
+        """Of both [m]."""
+        return float(np.hypot(self.white, self.slow))
+
+    def to_dict(self) -> dict[str, float]:
+        return {
+            "white_mm": 1e3 * self.white,
+            "slow_mm": 1e3 * self.slow,
+            "slow_correlation": self.correlation,
+        }
+
+
+def noise_in_time(positions: np.ndarray) -> TimeNoise | None:
+    """Noise of (recording, frame, marker, 3) positions [m] by the distances of the first two
+    markers and of the last two, medians over recordings; None where there are too few frames.
+
+    Sample covariances c_k about a recording's own mean lack the variance of that mean; with it they
+    are w + s, s r, s r^2 at lags of 0, 1 and 2 frames.
+    """
+    frames = positions.shape[1]
+    if frames < _FEWEST:
+        return None
+    apart = np.linalg.norm(positions[:, :, [0, -2]] - positions[:, :, [1, -1]], axis=-1)
+    off = apart - apart.mean(axis=1, keepdims=True)
+    seen = np.array([np.median((off[:, k:] * off[:, : frames - k]).mean(axis=1)) for k in range(3)])
+    lag = np.abs(np.subtract.outer(np.arange(frames), np.arange(frames)))
+    mean, slow, white, rho = 0.0, 0.0, seen[0], 0.0
+    for _ in range(_ROUNDS):
+        c = seen + mean
+        rho = float(np.clip(c[2] / c[1], 0.0, _LARGEST)) if c[1] > 0.0 else 0.0
+        slow = min(c[1] / rho, c[0]) if rho > 0.0 else 0.0
+        white = c[0] - slow
+        mean = slow * (rho**lag).mean() + white / frames
+    # Two markers err.
+    return TimeNoise(float(np.sqrt(0.5 * white)), float(np.sqrt(0.5 * slow)), rho)
 
 
 @brief
@@ -89,8 +152,7 @@ class MotionMeasurements:
     @property
     def bending_axis(self) -> np.ndarray:
         """(3,) mean direction of t x dt/ds between the grips, over the fitted recordings."""
-        edge = np.diff(self.positions[self.fit, ::10], axis=2)
-        t = edge / np.linalg.norm(edge, axis=3, keepdims=True)
+        t = unit(np.diff(self.positions[self.fit, ::10], axis=2))
         axis = np.cross(t[:, :, 1:-2], t[:, :, 2:-1]).mean(axis=(0, 1, 2))
         size = np.linalg.norm(axis)
         return axis / size if size > 1e-6 else np.array([0.0, 1.0, 0.0])
@@ -150,3 +212,43 @@ class MotionMeasurements:
             test=test,
             filled=self.filled + other.filled,
         )
+
+
+def split_evenly(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Recordings to fit, to choose effects by, and to score on.
+
+    Every seventh recording is scored on, and every third of the others chooses effects: so each
+    session is seen in each part. With less than eight, the last third is both.
+    """
+    index = np.arange(count)
+    if count < _TEST + 1:
+        held = max(1, count // 3)
+        return index[:-held], index[-held:], index[-held:]
+    return _around(count, index[_TEST // 2 :: _TEST])
+
+
+def folds(count: int, number: int, *, contiguous: bool = False) -> list[np.ndarray]:
+    """Recordings in parts that are scored on one after the other: every recording in one of them.
+
+    Args:
+        count: recordings.
+        number: parts.
+        contiguous: blocks of neighbours, whose sessions the other parts hardly know; default: every
+            `number`-th recording.
+    """
+    index = np.arange(count)
+    if contiguous:
+        return np.array_split(index, number)
+    return [index[k::number] for k in range(number)]
+
+
+def with_test(measurements: MotionMeasurements, test: np.ndarray) -> MotionMeasurements:
+    """The same recordings, of which `test` are scored on and every third other chooses effects."""
+    fit, validation, test = _around(measurements.recording_count, test)
+    return replace(measurements, fit=fit, validation=validation, test=test)
+
+
+def _around(count: int, test: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rest = np.setdiff1d(np.arange(count), test)
+    validation = rest[_VALIDATION // 2 :: _VALIDATION]
+    return np.setdiff1d(rest, validation), validation, np.asarray(test)

@@ -16,7 +16,7 @@ from wrod.identification.effect import Model
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.remembered import KnownSteps
 from wrod.identification.motion.setup import MotionSetup
-from wrod.identification.motion.solver import MotionSolver
+from wrod.identification.motion.solver import MotionRun
 from wrod.identification.motion.tangents import COMPLEX_STEP
 from wrod.identification.motion.tension import base_setup
 from wrod.identification.motion.windows import Windows, windows_of
@@ -97,20 +97,19 @@ class MotionLaboratory:
         subdivisions: int = 2,
         substeps: int = 1,
         device: str = "cpu",
-        free_roll: bool = False,
         remembered: KnownSteps | None = None,
     ):
         self.measurements, self.subdivisions = measurements, subdivisions
         self.remembered = remembered
         self.base = base_setup(measurements, subdivisions)
-        self.substeps, self.device, self.free_roll = substeps, device, free_roll
+        self.substeps, self.device = substeps, device
         self.misfit: float | None = None
 
     def windows(self, recordings, starts=(0,), frames=None) -> Windows:
         return windows_of(self.measurements, recordings, starts, frames)
 
     def run(self, windows: Windows, setup: MotionSetup, rates: Sequence[MotionSetup] = ()):
-        """`MotionSolver.run` over slices of the windows, side by side; with failures (W,).
+        """`MotionRun` over slices of the windows, side by side; what its `finish` returns.
 
         Windows whose steps do not converge are run again with shorter ones.
         """
@@ -130,29 +129,17 @@ class MotionLaboratory:
             # n slices of the work w, each set up in s, take n s + w / n: least at n^2 = w / s.
             work = rods * (windows.held.shape[1] - 1) * self.substeps * len(setup.node_length)
             count = max(1, min(usable_cores(), rods, round(np.sqrt(work / _SLICE))))
-        slices = np.array_split(np.arange(rods), count)
-
-        solvers = [
-            MotionSolver(
-                windows.part(index),
-                self.measurements.rate,
-                substeps=self.substeps,
+        runs = []
+        for index in np.array_split(np.arange(rods), count):
+            run = MotionRun(
+                windows.part(index), self.measurements.rate, setup, rates, substeps=self.substeps,
                 device=self.device,
-                free_roll=self.free_roll,
-            )
-            for index in slices
-        ]
-        runs = [solver.begin(setup, rates) for solver in solvers]
+            )  # fmt: skip
+            run.begin()
+            runs.append(run)
         with ThreadPoolExecutor(count) as pool:
-            parts = [
-                (*found, solver.failed)
-                for solver, found in zip(
-                    solvers, pool.map(MotionSolver.finish, solvers, runs), strict=True
-                )
-            ]
-        x = np.concatenate([p[0] for p in parts])
-        rate = np.concatenate([p[1] for p in parts]) if rates else None
-        return x, rate, np.concatenate([p[2] for p in parts])
+            x, rate, failed = zip(*pool.map(MotionRun.finish, runs), strict=True)
+        return np.concatenate(x), np.concatenate(rate) if rates else None, np.concatenate(failed)
 
     def predict(self, windows: Windows, model: Model, values: np.ndarray) -> np.ndarray:
         """(W, F, M, 3) markers [m]."""
@@ -174,7 +161,7 @@ class MotionLaboratory:
         """The same with half the edges and half the time step."""
         return MotionLaboratory(
             self.measurements, subdivisions=2 * self.subdivisions, substeps=2 * self.substeps,
-            device=self.device, free_roll=self.free_roll,
+            device=self.device,
         )  # fmt: skip
 
     def resolved(
@@ -239,7 +226,7 @@ class MotionLaboratory:
         """What `work` finds, or has found before this identification was stopped, by name."""
         if self.remembered is None:
             return work(windows, model, values)
-        key = [what, self.substeps, self.subdivisions, self.free_roll, self.misfit]
+        key = [what, self.substeps, self.subdivisions, self.misfit]
         key += [model.names, np.asarray(values).tolist(), windows.markers.shape]
         key += [windows.recording.tolist(), windows.start.tolist()]
         key += [hashlib.sha256(windows.lacking.tobytes()).hexdigest()]
@@ -314,18 +301,23 @@ class MotionLaboratory:
         *,
         iterations: int = 12,
         converged: float = _CONVERGED,
+        linearised: bool = True,
     ) -> tuple[np.ndarray, Linearised]:
-        """Levenberg-Marquardt from `values`."""
-        values = np.asarray(values, dtype=float)
+        """Levenberg-Marquardt from `values`, until a step takes less than a share `converged` of
+        the misfit.
+
+        Args:
+            linearised: whether the problem is wanted where the last of the iterations leads, too.
+        """
+        values, damping = np.asarray(values, dtype=float), _DAMPING
         self.misfit = None
         now = self.linearise(windows, model, values)
-        damping = _DAMPING
-        for _ in range(iterations):
-            before = now.cost
-            trial, then, damping = self._step(windows, model, values, now, damping)
+        for k in range(iterations):
+            last = not linearised and k == iterations - 1
+            trial, then, damping = self._step(windows, model, values, now, damping, last=last)
             if trial is None:
                 break
-            values, now = trial, then
+            before, values, now = now.cost, trial, then
             if before - now.cost < converged * before:
                 break
         return values, now
@@ -333,19 +325,11 @@ class MotionLaboratory:
     def refine(
         self, windows: Windows, model: Model, values: np.ndarray, steps: int, settled: float = 0.0
     ) -> np.ndarray:
-        """`fit` in a few steps, without the linearisation that would follow the last; until one
-        takes less than a share `settled` of the misfit."""
-        self.misfit, damping = None, _DAMPING
-        now = self.linearise(windows, model, values)
-        for k in range(steps):
-            last = k == steps - 1
-            trial, then, damping = self._step(windows, model, values, now, damping, last=last)
-            if trial is None:
-                break
-            before, values, now = now.cost, trial, then
-            if before - now.cost < settled * before:
-                break
-        return values
+        """Values of a `fit` in a few steps, without the linearisation that would follow the last;
+        until one takes less than a share `settled` of the misfit."""
+        return self.fit(
+            windows, model, values, iterations=steps, converged=settled, linearised=False
+        )[0]
 
     def step(
         self, windows: Windows, model: Model, values: np.ndarray, now: Linearised

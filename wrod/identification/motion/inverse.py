@@ -17,15 +17,20 @@ import warp as wp
 
 from wrod.identification.effect import Model
 from wrod.identification.motion.data import MotionMeasurements
-from wrod.identification.motion.layout import rods_on_mesh
 from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.smoothing import sampled_frames, smoothed, smoothing
-from wrod.identification.motion.start import held_ends
-from wrod.identification.motion.tangents import COMPLEX_STEP, kind_of, node_columns
+from wrod.identification.motion.start import held_ends, rods_on_mesh
+from wrod.identification.motion.tangents import (
+    COMPLEX_STEP,
+    ELASTIC,
+    node_columns,
+    rates_of,
+    uploaded,
+)
 from wrod.identification.motion.windows import Windows
 from wrod.kernels.stepping import motion_tangents, observed_tangents
 from wrod.rods.batch import RodBatch
-from wrod.rods.rotation import angle_about, node_frames, transport
+from wrod.rods.rotation import angle_about, node_frames, transport, unit
 from wrod.rods.state import full_hessian
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 from wrod.solvers.steps import unit_pace
@@ -69,15 +74,11 @@ class InverseMotion:
 
     def force(self, nodal: np.ndarray) -> np.ndarray:
         """(S, Q, ...) what a force (S, n, 3, ...) on the nodes adds to `missing`'s explanation."""
-        columns = node_columns(nodal.shape[1])
-        flat = nodal.reshape(len(nodal), -1, *nodal.shape[3:])
-        return np.einsum("sqd,sd...->sq...", self.left[:, :, columns], flat)
+        return _of_nodes(self.left, nodal)
 
     def shift(self, moved: np.ndarray) -> np.ndarray:
         """(S, Q, ...) rates of `missing` as the markers move along (S, n, 3, ...)."""
-        columns = node_columns(moved.shape[1])
-        flat = moved.reshape(len(moved), -1, *moved.shape[3:])
-        return np.einsum("sqd,sd...->sq...", self.stiffness[:, :, columns], flat)
+        return _of_nodes(self.stiffness, moved)
 
     def rates(self, rates: list[MotionSetup]) -> np.ndarray:
         """(S, Q, P) what elastic, viscous and held-end parameters add.
@@ -86,25 +87,9 @@ class InverseMotion:
             rates: setups whose imaginary parts are `COMPLEX_STEP` times a parameter's rate.
         """
         b, count = self.batch, len(rates)
-        names = ("rest_length", "stretching", "stiffness", "rest_strain", "viscous_time")
-        names = (*names, "softening")
-        base = {k: np.real(v) for k, v in self.setup.arrays().items()}
-        changes = [r.arrays() for r in rates]
-
-        def upload(key, value):
-            value = np.ascontiguousarray(value, dtype=float)
-            return wp.array(value, dtype=kind_of(key), device=b.device)
-
-        model = [b.rest_length] + [upload(k, base[k][None]) for k in names[1:]]
-        moved = [
-            upload(
-                k,
-                np.stack(
-                    [np.broadcast_to(np.imag(c[k]) / COMPLEX_STEP, base[k].shape) for c in changes]
-                ),
-            )
-            for k in names
-        ]
+        base = {k: np.real(v)[None] for k, v in self.setup.arrays().items()}
+        model = uploaded(base, b.device) | {"rest_length": b.rest_length}
+        moved = uploaded(rates_of(self.setup, rates), b.device)
         shape = (b.rod_count, count, b.node_count)
         strains = wp.zeros(shape, dtype=wp.vec4d, device=b.device)
         out = wp.zeros((b.rod_count * count, b.dof_count), dtype=wp.float64, device=b.device)
@@ -117,7 +102,9 @@ class InverseMotion:
         b.launch(
             motion_tangents.elastic_tangents,
             (b.rod_count, b.node_count - 1, 1),
-            [*model, *moved, unit_pace(b, 0.0, 1.0, 0.0)]
+            [model[k] for k in ELASTIC]
+            + [moved[k] for k in ELASTIC]
+            + [unit_pace(b, 0.0, 1.0, 0.0)]
             + [s.dof, s.director, s.reference_twist, strain_rate, strain_rate]
             + [strains, strains, count],
             [out],
@@ -131,6 +118,12 @@ class InverseMotion:
                 ends[:, p, 4 * node : 4 * node + 3] = held[:, k]
             ends[:, p, [3, -4]] = np.broadcast_to(np.imag(r.roll) / COMPLEX_STEP, 2)
         return explained - np.einsum("sqd,spd->sqp", self.stiffness, ends)
+
+
+def _of_nodes(linear: np.ndarray, nodal: np.ndarray) -> np.ndarray:
+    """(S, Q, ...) what maps (S, Q, D) of degrees of freedom make of (S, n, 3, ...) at the nodes."""
+    flat = nodal.reshape(len(nodal), -1, *nodal.shape[3:])
+    return np.einsum("sqd,sd...->sq...", linear[:, :, node_columns(nodal.shape[1])], flat)
 
 
 def rates_about(setup: MotionSetup, model: Model) -> list[MotionSetup]:
@@ -243,8 +236,7 @@ class _Condensation:
         self.felt = self.see @ hessian
         self.felt[:, :, i] = 0.0
         self.reaction = np.einsum("sfd,sd->sf", self.see, gradient)
-        t = np.diff(self.batch.positions(), axis=1)
-        t /= np.linalg.norm(t, axis=2, keepdims=True)
+        t = unit(np.diff(self.batch.positions(), axis=1))
         pull = np.zeros((*gradient.shape, self.tension.shape[1]))
         for e, span in enumerate(self.spans, start=1):
             pull[:, 4 * e : 4 * e + 3, span] -= t[:, e]

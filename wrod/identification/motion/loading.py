@@ -14,14 +14,13 @@ from wrod.identification.motion.checks import (
     doubt_rate,
     doubt_slow_motion,
 )
-from wrod.identification.motion.data import MotionMeasurements
+from wrod.identification.motion.data import MotionMeasurements, split_evenly
 from wrod.identification.motion.repair import (
     frame_gaps,
     gaps_filled,
     sorted_grips,
     told_gaps,
 )
-from wrod.identification.motion.split import split_evenly
 
 
 def is_motion(path: str | os.PathLike[str]) -> bool:

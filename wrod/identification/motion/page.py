@@ -8,8 +8,7 @@ from wrod.identification.clamped.page import effects_table, numbers_of, page, st
 
 def write_motion_page(path: Path, report) -> Path:
     """Write a `MotionReport` as HTML with its pictures inside."""
-    content = _page(report)
-    return write_text(path, content)
+    return write_text(path, _page(report))
 
 
 def _page(report) -> str:
@@ -78,7 +77,7 @@ def _steps(report) -> str:
 
 
 def _evidence(report) -> list[tuple[str, str, bytes]]:
-    from wrod.identification.motion import trace_pictures as evidence
+    from wrod.identification.motion import pictures
 
     if report.trace is None:
         return []
@@ -89,8 +88,8 @@ def _evidence(report) -> list[tuple[str, str, bytes]]:
          "the rod's weight, that would make the base model follow the markers, frame by frame, "
          "without integrating anything. What stays the same in the material is a bend of the "
          "rod's own, what stays the same in the laboratory a wind or a tilt.",
-         evidence.missing_force(report.trace, m.rate, shown)),
+         pictures.missing_force(report.trace, m.rate, shown)),
         ("What that force is like", "Left: the print that takes away most of it. Right: each "
          "print's share, in recordings that were left out when it was fitted.",
-         evidence.prints(report.trace)),
+         pictures.prints(report.trace)),
     ]  # fmt: skip

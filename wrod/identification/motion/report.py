@@ -228,6 +228,7 @@ def _report(selection: MotionSelection, evidence: MotionTrace | None) -> MotionR
         names = ", ".join(m.names[r] for r in windows.recording[lost_after])
         reason += f"; the steps of {names} fail, which are scored with their last shape"
     described = _described(selection, m)
+    first = next((r.candidates for r in selection.rounds if r.candidates), ())
     return MotionReport(
         measurements=m,
         verdict=verdict,
@@ -238,7 +239,7 @@ def _report(selection: MotionSelection, evidence: MotionTrace | None) -> MotionR
         numerical_error=numerical,
         base={name: described[name] for name in BASE},
         effects=tuple(_found(selection, described)),
-        candidates=tuple(_candidate(c) for c in _first_candidates(selection)),
+        candidates=tuple(_candidate(c) for c in first),
         selection=selection,
         residual=residual_of(laboratory, windows, before, after),
         trace=evidence,
@@ -250,13 +251,12 @@ def _report(selection: MotionSelection, evidence: MotionTrace | None) -> MotionR
 
 
 def _described(selection: MotionSelection, m) -> dict[str, dict[str, Estimate]]:
-    out, start = {}, 0
     s = selection
-    for effect, values in zip(s.model.effects, s.model.split(s.values), strict=True):
-        part = slice(start, start + len(values))
-        out[effect.name] = effect.describe(values, s.covariance[part, part], m)
-        start += len(values)
-    return out
+    parts = s.model.split(np.arange(len(s.values)))
+    return {
+        effect.name: effect.describe(s.values[i], s.covariance[np.ix_(i, i)], m)
+        for effect, i in zip(s.model.effects, parts, strict=True)
+    }
 
 
 def _found(selection: MotionSelection, described):
@@ -267,11 +267,6 @@ def _found(selection: MotionSelection, described):
             effect.name, effect.title, effect.reference, described[effect.name],
             r.test, {"validation_mm_with_this_effect": r.validation},
         )  # fmt: skip
-
-
-def _first_candidates(selection: MotionSelection):
-    """Those of the first round that had some."""
-    return next((r.candidates for r in selection.rounds if r.candidates), ())
 
 
 def _candidate(candidate) -> dict:

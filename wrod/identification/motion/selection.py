@@ -16,14 +16,17 @@ whole recordings, those of the validation included.
 """
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from wrod.identification.effect import Effect, Model, effects
-from wrod.identification.motion.confounding import confounded_pairs, correlations_of
 from wrod.identification.motion.fit import Linearised, MotionLaboratory
-from wrod.identification.motion.promises import losses_of, promises_of
+from wrod.identification.motion.linearised import (
+    confounded_pairs,
+    correlations_of,
+    losses_of,
+    promises_of,
+)
 from wrod.identification.motion.windows import Windows
 from wrod.identification.verdict import MOTION
 
@@ -84,7 +87,7 @@ class MotionSelection:
         laboratory: on the mesh and with the time step of what follows.
         base_values: (3,) of the base model, fitted as the last model is.
         model, values: the chosen model, `BASE` first.
-        fit: its linearised misfit; covariance: (P, P) of the values.
+        covariance: (P, P) of the values.
         rounds: the steps that led there; the first is internal damping, as part of the base model.
         undamped: test error of the base model without internal damping, as the rounds fit it [m].
         before, after: test errors [m]; validation_before, validation_after, of the models before
@@ -98,7 +101,6 @@ class MotionSelection:
     base_values: np.ndarray
     model: Model
     values: np.ndarray
-    fit: Linearised
     covariance: np.ndarray
     rounds: tuple[MotionRound, ...]
     undamped: float
@@ -109,8 +111,6 @@ class MotionSelection:
     confounded: tuple[dict, ...]
     correlated: tuple[str, ...]
     correlation: np.ndarray
-    # What is another one in each recording is not looked for.
-    scatter: ClassVar[None] = None
 
     @property
     def at_bound(self) -> tuple[str, ...]:
@@ -210,7 +210,6 @@ class _Selection:
             base_values=base_values,
             model=now.model,
             values=values,
-            fit=fit,
             covariance=fit.covariance,
             rounds=tuple(self.rounds),
             undamped=self._error(self.test, undamped.model, undamped.values),

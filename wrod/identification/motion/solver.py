@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from wrod.identification.motion.layout import rods_on_mesh
 from wrod.identification.motion.setup import MotionSetup
-from wrod.identification.motion.start import first_nodes, held_ends
-from wrod.identification.motion.tangents import SPIN_INERTIA, MotionTangents, kind_of, node_columns
+from wrod.identification.motion.start import first_nodes, held_ends, rods_on_mesh
+from wrod.identification.motion.tangents import SPIN_INERTIA, MotionTangents, node_columns, uploaded
 from wrod.identification.motion.windows import Windows
 from wrod.kernels.stepping import observed as kernels
 from wrod.kernels.stepping.viscosity import measure_strains
@@ -23,82 +22,18 @@ _TOLERANCE = 1e-7
 _MAX_ITERATIONS = 25
 
 
-class MotionSolver:
+class MotionRun:
     """Predicts windows with a model: BDF2 of fixed steps in true time, all windows in lockstep.
+
+    It moves the held ends of its `Dynamics`.
 
     Args:
         windows: what to predict; the first two frames and the held markers are looked at.
         rate: frames per second.
+        setup: the model.
+        rates: setups whose imaginary parts are `COMPLEX_STEP` times a parameter's rate.
         substeps: time steps in a frame's duration.
         device: Warp device.
-        free_roll: let the rod turn about its axis in the grips.
-
-    Attributes:
-        failed: (W,) whether a step of the last run did not converge.
-    """
-
-    def __init__(
-        self,
-        windows: Windows,
-        rate: float,
-        *,
-        substeps: int = 1,
-        device: str = "cpu",
-        free_roll: bool = False,
-    ):
-        self.windows, self.rate, self.substeps = windows, rate, substeps
-        self.device, self.free_roll = device, free_roll
-        self.failed = np.zeros(len(windows.recording), dtype=bool)
-
-    def run(
-        self, setup: MotionSetup, rates: Sequence[MotionSetup] = ()
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Predict all markers of all windows.
-
-        Args:
-            setup: the model.
-            rates: setups whose imaginary parts are `COMPLEX_STEP` times a parameter's rate.
-
-        Returns:
-            (W, F, M, 3) markers [m], and (W, F, M, P, 3) their derivatives.
-        """
-        return self.finish(self.begin(setup, rates))
-
-    def begin(self, setup: MotionSetup, rates: Sequence[MotionSetup] = ()) -> MotionRun:
-        """Predict the first frames, until the launches of a step are recorded.
-
-        What is recorded is whatever is launched meanwhile, by any thread: begin one after another.
-        """
-        run = MotionRun(self, setup, rates)
-        run.begin()
-        return run
-
-    def finish(self, run: MotionRun) -> tuple[np.ndarray, np.ndarray | None]:
-        """Predict the others; what `run` returns."""
-        last = run.finish()
-        self.failed = last < run.last
-        return self._collect(run, last)
-
-    def _collect(self, run: MotionRun, last: np.ndarray):
-        """Predictions at the recorded frames; the first two and the held markers as recorded."""
-        w, tangents = self.windows, run.tangents
-        rods = np.arange(len(w.recording))[:, None]
-        out = w.markers.copy()
-        # A rod whose steps no longer converged keeps its last shape.
-        time = np.minimum(w.time, np.maximum(last // self.substeps, 1)[:, None])
-        out[:, :, 1:-1] = run.seen.numpy()[rods, time]
-        out[:, :2] = w.markers[:, :2]
-        out[:, :, [0, 1, -2, -1]] = w.markers[:, :, [0, 1, -2, -1]]
-        if tangents is None:
-            return out, None
-        rates, seen = np.zeros((*out.shape[:3], tangents.count, 3)), tangents.seen.numpy()
-        for k in range(len(rates)):
-            rates[k, 2:, 2:-2] = seen[k, time[k, 2:], 1:-1]
-        return out, rates
-
-
-class MotionRun:
-    """One run of a `MotionSolver`: what moves the held ends of its `Dynamics`.
 
     Attributes:
         batch: the rods, one per window.
@@ -109,16 +44,27 @@ class MotionRun:
         tangents: the derivatives, or None.
     """
 
-    def __init__(self, solver: MotionSolver, setup: MotionSetup, rates: Sequence[MotionSetup]):
-        self.windows, self.substeps, self.device = solver.windows, solver.substeps, solver.device
-        self.frame_time, self.step_rate = 1.0 / solver.rate, solver.rate * solver.substeps
-        w, device = self.windows, self.device
+    def __init__(
+        self,
+        windows: Windows,
+        rate: float,
+        setup: MotionSetup,
+        rates: Sequence[MotionSetup] = (),
+        *,
+        substeps: int = 1,
+        device: str = "cpu",
+    ):
+        self.windows, self.substeps, self.device = windows, substeps, device
+        self.frame_time, self.step_rate = 1.0 / rate, rate * substeps
+        w = windows
         values = {k: np.real(v) for k, v in setup.arrays().items()}
         # Every window's own lengths, on top of the model's.
         pieces = np.diff(setup.marker_node)
         change = np.repeat(w.length_change / pieces, pieces, axis=1)
         values["rest_length"] = values["rest_length"] + change
-        self.model = self._upload(values)
+        rows = {k: v if k == "rest_length" else v[None] for k, v in values.items()}
+        rows["marker_offset"] = rows["marker_offset"][:, 1:-1]
+        self.model = uploaded(rows, device)
         ends = held_ends(w, setup, self.substeps)
         self.first = np.real(first_nodes(w, setup, self.substeps, ends))
         nodes, grip_t, _, grip_m1 = (np.real(a) for a in ends)
@@ -135,14 +81,11 @@ class MotionRun:
             rest_length=values["rest_length"],
             node_mass=values["mass"],
         )
-        angles = () if solver.free_roll else (0, -1)
-        prescribe(self.batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=angles)
+        prescribe(self.batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
         frames = w.held.shape[1]
         self.last = (frames - 1) * self.substeps
-        self.place = wp.array(setup.marker_node[1:-1].astype(np.int32), dtype=wp.int32)
-        self.place = self.place.to(device)
-        offset = np.ascontiguousarray(values["marker_offset"][None, 1:-1])
-        self.offset = wp.array(offset, dtype=wp.vec3d, device=device)
+        place = setup.marker_node[1:-1].astype(np.int32)
+        self.place = wp.array(place, dtype=wp.int32, device=device)
         shape = (self.batch.rod_count, frames, self.place.shape[0])
         self.seen = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self.tangents = MotionTangents(self, setup, rates) if len(rates) else None
@@ -172,7 +115,7 @@ class MotionRun:
     def prescribe(self, running, time, step, start: RodState) -> None:
         """Put the held edges where their grips are."""
         batch = self.batch
-        self.batch.launch(
+        batch.launch(
             kernels.hold_ends,
             (batch.rod_count, 2),
             [self.held, self.grip_tangent, self.grip_director, batch.free]
@@ -182,7 +125,10 @@ class MotionRun:
         )
 
     def begin(self) -> None:
-        """Take steps until their launches are recorded."""
+        """Predict the first frames, until the launches of a step are recorded.
+
+        What is recorded is whatever is launched meanwhile, by any thread: begin one after another.
+        """
         batch, dynamics, tangents = self.batch, self.dynamics, self.tangents
         h, rods = self.frame_time, batch.rod_count
         first_dof = batch.state.dof.numpy().copy()
@@ -206,11 +152,28 @@ class MotionRun:
         while self.taken < self.last and not dynamics.is_recorded:
             self._go_to(self.taken + 1, h / self.substeps)
 
-    def finish(self) -> np.ndarray:
-        """Take the others; (W,) the last step that converged, counted from the first frame."""
+    def finish(self) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
+        """Predict the others.
+
+        Returns:
+            (W, F, M, 3) markers [m], the first two frames and the held markers as recorded;
+            (W, F, M, P, 3) their derivatives, or None; and (W,) whether a step did not converge.
+        """
         if self.taken < self.last:
             self._go_to(self.last, self.frame_time / self.substeps)
-        return self.substeps + np.rint(self.dynamics.time.numpy() * self.step_rate).astype(int)
+        # The last step that converged, counted from the first frame; then a rod keeps its shape.
+        last = self.substeps + np.rint(self.dynamics.time.numpy() * self.step_rate).astype(int)
+        w, tangents = self.windows, self.tangents
+        rods = np.arange(len(w.recording))[:, None]
+        time = np.minimum(w.time, np.maximum(last // self.substeps, 1)[:, None])
+        out = w.markers.copy()
+        out[:, 2:, 2:-2] = self.seen.numpy()[rods, time[:, 2:], 1:-1]
+        if tangents is None:
+            return out, None, last < self.last
+        rates, seen = np.zeros((*out.shape[:3], tangents.count, 3)), tangents.seen.numpy()
+        for k in range(len(rates)):
+            rates[k, 2:, 2:-2] = seen[k, time[k, 2:], 1:-1]
+        return out, rates, last < self.last
 
     def _go_to(self, number: int, h: float) -> None:
         """Take all steps, `h` long, until one, every rod at its own pace."""
@@ -238,11 +201,11 @@ class MotionRun:
         self.batch.launch(
             kernels.observe,
             (batch.rod_count, self.place.shape[0]),
-            [self.place, self.offset, *when, state.dof, state.director],
+            [self.place, self.model["marker_offset"], *when, state.dof, state.director],
             [self.seen],
         )
         if self.tangents:
-            self.tangents.observe(self.place, self.offset, when)
+            self.tangents.observe(self.place, when)
 
     def _twist(self) -> None:
         """Twist of the first configuration: equilibrium of the angles with the nodes where they
@@ -273,15 +236,4 @@ class MotionRun:
         self.batch.launch(
             measure_strains, shape, [batch.every_rod, s.dof, s.director, s.reference_twist], [out]
         )
-        return out
-
-    def _upload(self, values: dict[str, np.ndarray]) -> dict[str, wp.array]:
-        out = {}
-        for key, value in values.items():
-            if key == "marker_offset":
-                continue
-            if key != "rest_length":
-                value = value[None]
-            value = np.ascontiguousarray(value, dtype=float)
-            out[key] = wp.array(value, dtype=kind_of(key), device=self.device)
         return out

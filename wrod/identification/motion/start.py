@@ -1,6 +1,7 @@
-"""Where a window's rod is held, and its first two configurations, for models with offsets.
+"""Rods of recorded motion as a batch: where a window's rod is held, and its first two
+configurations, for models with offsets.
 
-All functions are analytic, so that complex setups carry a parameter's derivative through.
+What takes setups is analytic, so that complex ones carry a parameter's derivative through.
 """
 
 import numpy as np
@@ -8,7 +9,39 @@ import numpy as np
 from wrod.identification.motion.curves import through_markers
 from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.windows import Windows
+from wrod.rods.batch import RodBatch
 from wrod.rods.rotation import carried, unit
+
+
+def rods_on_mesh(
+    values: dict[str, np.ndarray],
+    position: np.ndarray,
+    director: np.ndarray,
+    point_load: np.ndarray,
+    device: str,
+    **own,
+) -> RodBatch:
+    """A batch of rods that are alike.
+
+    Args:
+        values: as of `MotionSetup.arrays`, real.
+        position, director, point_load, own: as `RodBatch` takes them; weight is a point load, for
+            it and other forces per mass may change along the rod.
+    """
+    stiffness, rest = values["stiffness"], values["rest_strain"]
+    return RodBatch(
+        position,
+        stretching_stiffness=values["stretching"],
+        bending_stiffness=stiffness[None, :, :2],
+        twisting_stiffness=stiffness[:, 2],
+        natural_curvature=rest[:, :2],
+        natural_twist=rest[:, 2],
+        softening=values["softening"],
+        point_load=point_load,
+        director=director,
+        device=device,
+        **own,
+    )
 
 
 def held_ends(windows: Windows, setup: MotionSetup, substeps: int) -> tuple[np.ndarray, ...]:

@@ -29,9 +29,34 @@ _KINDS = dict.fromkeys(("stiffness", "rest_strain", "gravity", "marker_offset"),
 }
 
 
-def kind_of(key: str) -> type:
-    """Warp type of a model's array."""
-    return _KINDS.get(key, wp.float64)
+# What moments and tensions depend on, as the kernel of their tangents takes it.
+ELASTIC = (
+    "rest_length", "stretching", "stiffness", "rest_strain", "viscous_time", "softening"
+)  # fmt: skip
+
+
+def uploaded(values: dict[str, np.ndarray], device: str) -> dict[str, wp.array]:
+    """Arrays of `MotionSetup.arrays`, real, with one more axis in front, on a device."""
+    return {
+        key: wp.array(
+            np.ascontiguousarray(value, dtype=float), dtype=_KINDS.get(key, wp.float64),
+            device=device,
+        )
+        for key, value in values.items()
+    }  # fmt: skip
+
+
+def rates_of(setup, rates) -> dict[str, np.ndarray]:
+    """(P, ...) rates of `MotionSetup.arrays` by parameters; arguments as of `MotionTangents`."""
+    arrays = [r.arrays() for r in rates]
+    return {
+        key: np.stack([np.broadcast_to(_rate(a[key]), nominal.shape) for a in arrays])
+        for key, nominal in setup.arrays().items()
+    }
+
+
+def _rate(value: np.ndarray) -> np.ndarray:
+    return np.imag(value) / COMPLEX_STEP
 
 
 def node_columns(node_count: int) -> np.ndarray:
@@ -65,18 +90,9 @@ class MotionTangents:
         windows, substeps, device = run.windows, run.substeps, run.device
         rods, nodes, dofs = run.batch.rod_count, run.batch.node_count, run.batch.dof_count
         P = self.count
-
-        def imag(value):
-            return np.imag(value) / COMPLEX_STEP
-
-        arrays = [r.arrays() for r in rates]
-        self.model = {}
-        for key, nominal in setup.arrays().items():
-            value = np.stack([np.broadcast_to(imag(a[key]), nominal.shape) for a in arrays])
-            if key == "marker_offset":
-                value = value[:, 1:-1]
-            value = np.ascontiguousarray(value)
-            self.model[key] = wp.array(value, dtype=kind_of(key), device=device)
+        by_key = rates_of(setup, rates)
+        by_key["marker_offset"] = by_key["marker_offset"][:, 1:-1]
+        self.model = uploaded(by_key, device)
         instants = (windows.held.shape[1] - 1) * substeps + 1
         held, first = np.zeros((rods, instants, P, 4, 3)), np.zeros((2, rods, P, nodes, 3))
         moves = [moves_ends(r) for r in rates]
@@ -84,12 +100,12 @@ class MotionTangents:
         for j, r in enumerate(rates):
             if moves[j]:
                 ends = held_ends(windows, r, substeps)
-                held[:, :, j] = imag(ends[0])
-                start = imag(first_nodes(windows, r, substeps, ends))
+                held[:, :, j] = _rate(ends[0])
+                start = _rate(first_nodes(windows, r, substeps, ends))
                 first[:, :, j] = start.swapaxes(0, 1)
         self.held = wp.array(held, dtype=wp.vec3d, device=device)
         self.roll = wp.array(
-            np.stack([np.broadcast_to(imag(r.roll + r.principal_angle), 2) for r in rates]),
+            np.stack([np.broadcast_to(_rate(r.roll + r.principal_angle), 2) for r in rates]),
             dtype=wp.float64, device=device,
         )  # fmt: skip
         self.first = np.zeros((2, rods, P, dofs))
@@ -115,13 +131,11 @@ class MotionTangents:
         wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=self.run.device)
 
     def _elastic(self, pace, strain_before, strain_older):
-        names = ("rest_length", "stretching", "stiffness", "rest_strain", "viscous_time")
-        names = (*names, "softening")
         batch, s = self.batch, self.batch.state
         self._launch(
             kernels.elastic_tangents,
             (batch.node_count - 1, self.groups),
-            [self.run.model[k] for k in names] + [self.model[k] for k in names]
+            [self.run.model[k] for k in ELASTIC] + [self.model[k] for k in ELASTIC]
             + [pace, s.dof, s.director, s.reference_twist]
             + [strain_before, strain_older, self.strain, self.strain_older, self.per_thread],
             [self.x.reshape((batch.rod_count * self.count, batch.dof_count))],
@@ -246,13 +260,13 @@ class MotionTangents:
         self.velocity.assign((1.5 * now - 2.0 * middle + 0.5 * self.earliest) / h)
         self.velocity_older.assign((now - self.earliest) / (2.0 * h))
 
-    def observe(self, place, offset, when: list) -> None:
+    def observe(self, place, when: list) -> None:
         """Record the markers' tangents, with what says whose and in which frame."""
         s = self.batch.state
         self._launch(
             observed_tangents.observe_tangents,
             (place.shape[0], self.groups),
-            [place, offset, self.model["marker_offset"], *when]
+            [place, self.run.model["marker_offset"], self.model["marker_offset"], *when]
             + [s.dof, s.director, self.now, self.per_thread],
             [self.seen],
         )

@@ -6,6 +6,7 @@ from wrod.identification.motion.curves import through_markers
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.smoothing import sampled_frames, smoothing
+from wrod.rods.rotation import unit
 
 # Every so many frames are looked at. Forces along a line that sags less than a hundredth of its
 # length are not seen.
@@ -57,10 +58,9 @@ def mean_tension(m: MotionMeasurements, pieces: int) -> np.ndarray:
     across = np.pad(across, ((0, 0), (1, 0), (0, 0), (0, 0)))
     lever = np.pad(np.cumsum(np.cross(free, carried), axis=1), ((0, 0), (1, 0), (0, 0)))
     span = np.linalg.norm(free, axis=2).sum(axis=1).mean()
-    axis = t[:, :-1] + t[:, 1:]
-    axis /= np.linalg.norm(axis, axis=2, keepdims=True)
-    unit = np.broadcast_to(np.eye(3), across.shape)
-    columns = np.concatenate([across / span, unit, axis[..., None]], axis=3)
+    axis = unit(t[:, :-1] + t[:, 1:])
+    every = np.broadcast_to(np.eye(3), across.shape)
+    columns = np.concatenate([across / span, every, axis[..., None]], axis=3)
     columns = columns.reshape(len(x), -1, 7)
     sides = np.stack([lever, -bent], axis=3).reshape(len(x), -1, 2)
     force = (np.linalg.pinv(columns, rcond=_SEEN) @ sides)[:, :3] / span

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.motion.data import MotionMeasurements
-from wrod.rods.rotation import transport
+from wrod.rods.rotation import transport, unit
 
 # Frames of the cubics that smooth the paths of grips, and what is left of their noise at most.
 _WIDTHS, _AS_NOISE = (61, 41, 25, 15, 9, 5), 1.05
@@ -120,16 +120,13 @@ def _true_time(
     longest = max(map(len, held))
     # All of them side by side; the last frame of the shorter ones is repeated.
     x = np.stack([np.pad(h, ((0, longest - len(h)), (0, 0), (0, 0)), mode="edge") for h in held])
-    tangent = x[:, :, [1, 3]] - x[:, :, [0, 2]]
-    tangent /= np.linalg.norm(tangent, axis=3, keepdims=True)
+    tangent = unit(x[:, :, [1, 3]] - x[:, :, [0, 2]])
     director = np.empty_like(tangent)
     d, before = np.broadcast_to(m.bending_axis, tangent[:, 0].shape), tangent[:, 0]
     for k in range(longest):
         d = transport(d, before, tangent[:, k]) if k else d
         before = tangent[:, k]
-        d = d - np.sum(d * before, axis=2, keepdims=True) * before
-        d /= np.linalg.norm(d, axis=2, keepdims=True)
-        director[:, k] = d
+        director[:, k] = d = unit(d - np.sum(d * before, axis=2, keepdims=True) * before)
     return {r: (h, d[: len(h)]) for r, h, d in zip(recordings, held, director, strict=True)}
 
 
