@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from wrod.bench.continuous_rod import Experiment, labels, measured, world_of
+from wrod.bench.continuous_rod import Experiment, measured, world_of
 from wrod.identification import Effect, Parameter, identify
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.setup import ClampedSetup
+from wrod.identification.template import labels
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile

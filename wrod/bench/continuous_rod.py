@@ -364,15 +364,3 @@ def measured(
         for values, least in wrench.values():
             values += np.hypot(0.02 * values, least) * rng.normal(size=values.shape)
     return {**data, "centerline": position} | {key: values for key, (values, _) in wrench.items()}
-
-
-def labels(rod: RodMaterial) -> dict[str, float]:
-    """What a measured file says of its rod [m, kg/m^3, -, m/s^2]."""
-    return {
-        "length": rod.length,
-        "radius": rod.radius,
-        "density": rod.density,
-        "L_gb": rod.gravito_bending_length,
-        "poisson": rod.poisson,
-        "gravity": rod.gravity,
-    }

@@ -9,12 +9,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.bench import hidden_effects as hidden_in
-from wrod.bench.continuous_rod import Experiment, labels, measured
+from wrod.bench.continuous_rod import Experiment, measured
 from wrod.bench.hidden_effects import TRIALS, Hidden
 from wrod.bench.hidden_noise import with_noise
 from wrod.bench.hidden_profiles import PROFILES
 from wrod.bench.hidden_strange import CHANGING, GIVING, STRANGE
 from wrod.errors import DataError
+from wrod.identification.template import labels
 from wrod.rods.material import RodMaterial
 
 _REDRAWS = 3

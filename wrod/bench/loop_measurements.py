@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from wrod.bench.continuous_rod import labels, measured, world_of
+from wrod.bench.continuous_rod import measured, world_of
 from wrod.errors import DataError
 from wrod.identification.clamped.setup import rotation_of
+from wrod.identification.template import labels
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 

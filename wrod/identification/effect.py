@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import importlib
 import pkgutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeVar
@@ -293,8 +293,3 @@ class Model:
 
     def extended(self, effect: Effect) -> Model:
         return Model((*self.effects, effect))
-
-
-def models_of(chosen: Sequence[Effect]) -> list[Model]:
-    """One model for each effect."""
-    return [Model((effect,)) for effect in chosen]

@@ -4,8 +4,6 @@ The rod hangs in a plane between two hands, clamps or nails, seen from the side.
 not asked: ends and tangents there are fitted with the stiffness.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.interpolate import CubicSpline
@@ -190,16 +188,14 @@ class _Fit:
             plane[:, inside] = place
             plane[:, ghost] = place - along if end == 0 else place + along
         position = np.stack([plane[..., 0], np.zeros(plane.shape[:2]), plane[..., 1]], axis=2)
-        rods = []
-        for row, length in zip(rows, lengths, strict=True):
-            lgb = float(np.exp(row[0]))
-            numbers: dict[str, Any] = {
-                "bending_stiffness": lgb**3,
-                "twisting_stiffness": lgb**3,
-                "stretching_stiffness": _STRETCH_RATIO * lgb,
-                "line_mass": WEIGHT,
-            }
-            rods.append(RodModel(length=float(length), radius=lgb, gravity=1.0, **numbers))
+        rods = [
+            RodModel(
+                length=float(length), bending_stiffness=lgb**3, twisting_stiffness=lgb**3,
+                stretching_stiffness=_STRETCH_RATIO * lgb, line_mass=WEIGHT, radius=lgb,
+                gravity=1.0,
+            )
+            for lgb, length in zip(np.exp(rows[:, 0]).tolist(), lengths, strict=True)
+        ]  # fmt: skip
         batch = RodBatch.of(
             rods, lengths[:, None] * (share + 1.0 / _EDGES), position, clamped=(True, True),
             director=(0.0, 1.0, 0.0),

@@ -5,7 +5,6 @@ The rod is clamped level at a table's edge, and a length of it hangs over. (The 
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -48,15 +47,13 @@ def fall_ratio(lengths: np.ndarray) -> np.ndarray:
 
 def _falls(lengths: np.ndarray, edges: int) -> np.ndarray:
     share = np.arange(-1, edges + 1) / edges
-    numbers: dict[str, Any] = {
-        "bending_stiffness": 1.0,
-        "twisting_stiffness": 2.0 / 3.0,
-        "stretching_stiffness": _STRETCH_RATIO,
-        "line_mass": WEIGHT,
-        "radius": 1.0,
-        "gravity": 1.0,
-    }
-    rods = [RodModel(length=float(length), **numbers) for length in lengths]
+    rods = [
+        RodModel(
+            length=float(length), bending_stiffness=1.0, twisting_stiffness=2.0 / 3.0,
+            stretching_stiffness=_STRETCH_RATIO, line_mass=WEIGHT, radius=1.0, gravity=1.0,
+        )
+        for length in lengths
+    ]  # fmt: skip
     s = lengths[:, None] * share
     # As the parabola of a stiff rod begins, no steeper than 45 degrees.
     drop = np.minimum(lengths**3 / 16.0, 0.7)[:, None] * np.maximum(s, 0.0) * np.maximum(share, 0.0)

@@ -11,6 +11,7 @@ from wrod.files import write_npz
 from wrod.rods.batch import RodBatch
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
+from wrod.rods.rotation import unit
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
@@ -53,8 +54,7 @@ def clamped_example() -> dict[str, Any]:
     s = edge * (np.arange(_EDGES + 2) - 0.5)
     reach = length * (rng.uniform(-0.1, 0.1, (_TRIALS, 3)) + [0.7, 0.0, 0.0])
     lean = rng.uniform(-0.35, 0.35, (_TRIALS, 2))
-    inward = np.column_stack([np.ones(_TRIALS), lean])
-    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    inward = unit(np.column_stack([np.ones(_TRIALS), lean]))
     u = np.clip(s / length, 0.0, 1.0)[:, None]
     sag = np.array([0.0, 0.0, -0.3 * length]) * np.sin(np.pi * u) ** 2
     position = u * reach[:, None] + sag
@@ -66,15 +66,13 @@ def clamped_example() -> dict[str, Any]:
     if not EquilibriumSolver(batch).solve(ramp_loads=True).converged.all():
         raise DataError("the example's cable found no equilibrium; use another seed")
     nodes, directors = batch.positions(), batch.material_directors()
-    tangent = np.diff(nodes, axis=1)
-    tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)
+    tangent = unit(np.diff(nodes, axis=1))
 
     def frames(edge: int) -> np.ndarray:
         return np.stack([*directors[:, edge].swapaxes(0, 1), tangent[:, edge]], axis=2)
 
     middles = 0.5 * (nodes[:, 1:] + nodes[:, :-1])
     seen = middles[:, ::3]
-    cable = _CABLE
     return {
         "centerline": seen + rng.normal(0.0, _NOISE, seen.shape),
         "arc_length": np.linspace(0.0, length, seen.shape[1]),
@@ -85,12 +83,19 @@ def clamped_example() -> dict[str, Any]:
         "train_idx": np.arange(_TRIALS - _SCORED),
         "test_idx": np.arange(_TRIALS - _SCORED, _TRIALS),
         "noise_std": np.float64(_NOISE),
-        "length": np.float64(length),
-        "radius": np.float64(cable.radius),
-        "density": np.float64(cable.density),
-        "L_gb": np.float64(cable.gravito_bending_length),
-        "poisson": np.float64(cable.poisson),
-        "gravity": np.float64(cable.gravity),
+        **{name: np.float64(value) for name, value in labels(_CABLE).items()},
+    }
+
+
+def labels(rod: RodMaterial) -> dict[str, float]:
+    """What a measured file says of its rod [m, kg/m^3, -, m/s^2]."""
+    return {
+        "length": rod.length,
+        "radius": rod.radius,
+        "density": rod.density,
+        "L_gb": rod.gravito_bending_length,
+        "poisson": rod.poisson,
+        "gravity": rod.gravity,
     }
 
 

@@ -8,7 +8,7 @@ the grip is shown from where it hangs tells the three numbers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -16,7 +16,7 @@ from scipy.spatial.distance import cdist
 
 from wrod.errors import DataError
 from wrod.identification.laid.photographs import LaidPhotograph
-from wrod.identification.laid.placement import rigid, seen_from
+from wrod.identification.laid.placement import moved, rigid, seen_from
 from wrod.identification.laid.scenario import LaidRod
 
 # Points that are nearest to a place so high above the table tell of the camera [m].
@@ -120,8 +120,7 @@ class _Tail:
     nodes: np.ndarray
     middle: np.ndarray
     centre: np.ndarray
-    turn: float
-    shift: np.ndarray
+    motion: np.ndarray
 
     @classmethod
     def of(cls, photograph: LaidPhotograph, rod: LaidRod, camera: OverheadCamera) -> _Tail | None:
@@ -129,20 +128,15 @@ class _Tail:
         count = int(np.ptp(rod.arc_length) / 1e-3) + 2
         s = np.linspace(rod.arc_length[0], rod.arc_length[-1], count)
         fine = np.column_stack([np.interp(s, rod.arc_length, c) for c in rod.nodes.T])
-        one = cls(
-            photograph.points, fine, photograph.middle, photograph.points.mean(axis=0),
-            placed.turn, placed.shift,
-        )  # fmt: skip
-        curve = one._shown(camera)
-        near = cdist(one.points, curve).argmin(axis=1)
+        points, motion = photograph.points, np.array([placed.turn, *placed.shift])
+        one = cls(points, fine, photograph.middle, points.mean(axis=0), motion)
+        near = cdist(points, one._shown(camera)).argmin(axis=1)
         hanging = fine[near, 2] > _HANGING
         if not hanging.any():
             return None
         # What lies is seen where it is, whatever the camera; the neighbours above it are kept.
         above = fine[:, 2] > 0.25 * _HANGING
-        return cls(
-            one.points[hanging], fine[above], one.middle, one.centre, one.turn, one.shift
-        )  # fmt: skip
+        return replace(one, points=points[hanging], nodes=fine[above])
 
     @property
     def weight(self) -> float:
@@ -158,5 +152,4 @@ class _Tail:
         high = np.minimum(np.maximum(self.nodes[:, 2], 0.0), 0.7 * camera.height)
         ratio = 1.0 / (1.0 - high / camera.height) if np.isfinite(camera.height) else 1.0 + 0 * high
         curve = below + (self.nodes[:, :2] - below) * ratio[:, None]
-        c, s = np.cos(self.turn), np.sin(self.turn)
-        return (curve - self.centre) @ np.array([[c, s], [-s, c]]) + self.centre + self.shift
+        return moved(self.motion, curve, self.centre)

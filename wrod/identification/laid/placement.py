@@ -132,7 +132,7 @@ def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
     motion, best = np.zeros(3), Alignment(curve, 0.0, np.zeros(2), distance)
     for _ in range(_ROUNDS):
         motion = _fitted(points, curve[near], normal[near], centre, motion, scale)
-        line = _moved(motion, curve, centre)
+        line = moved(motion, curve, centre)
         distance, near = cKDTree(line).query(points)
         here = Alignment(line, motion[0], motion[1:], distance)
         if here.mean >= best.mean - 1e-3 * scale:
@@ -141,7 +141,8 @@ def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
     return best
 
 
-def _moved(motion, what, centre):
+def moved(motion: np.ndarray, what: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """(n, 2) points turned about a centre and shifted [m]; motion: (3,) turn [rad] and shift."""
     c, s = np.cos(motion[0]), np.sin(motion[0])
     return (what - centre) @ np.array([[c, s], [-s, c]]) + centre + motion[1:]
 
@@ -152,7 +153,7 @@ def _fitted(points, foot, normal, centre, motion, scale):
     def off(p):
         c, s = np.cos(p[0]), np.sin(p[0])
         across = normal @ np.array([[c, s], [-s, c]])
-        gap = points - _moved(p, foot, centre)
+        gap = points - moved(p, foot, centre)
         return np.concatenate([(gap * across).sum(axis=1) / scale, p / _REACH])
 
     return least_squares(off, motion, loss="soft_l1", max_nfev=20).x
