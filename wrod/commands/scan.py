@@ -110,10 +110,10 @@ def command(
 
 def _scan(image: Path, out: Path, how: dict, start, several: bool, overlay: bool) -> dict:
     """Scan one picture, write what was found, and say what it is."""
+    from wrod.files import write_picture
     from wrod.patterns.curve import arc_length
     from wrod.perception.crossings import find_crossings
-    from wrod.perception.export import write_scan
-    from wrod.perception.overlay import draw_overlay, write_picture
+    from wrod.perception.export import draw_overlay, write_scan
     from wrod.perception.scan import read_scan
 
     result = read_scan(image, **how)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from wrod import arguments
-from wrod.errors import DataError
+from wrod.errors import DataError, needed_extras
 
 try:
     import fcntl
@@ -150,6 +150,14 @@ def write_figure(path: str | os.PathLike[str], figure: Any, dpi: int, **more: An
     return write_atomically(
         path, lambda file: figure.savefig(file, format="png", dpi=dpi, **more), "wb"
     )
+
+
+@needed_extras()
+def write_picture(path: str | os.PathLike[str], pixels: Any) -> Path:
+    """Pixels (height, width, 3) or (height, width), uint8, as PNG, as `write_text`."""
+    from PIL import Image
+
+    return write_atomically(path, lambda file: Image.fromarray(pixels).save(file, "PNG"), "wb")
 
 
 def refuse_no_file(path: str | os.PathLike[str]) -> None:

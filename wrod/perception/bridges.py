@@ -136,19 +136,23 @@ def _matching(energy: np.ndarray) -> tuple[float, tuple]:
     return float(total), pairs
 
 
-def bridge(junction: Junction, a: int, b: int, radius: float) -> np.ndarray:
-    """Points (n, 2) of the least-energy bridge from port a to port b, without the ports."""
-    positions, directions, _ = _flat_ports(junction, radius)
-    p, q, u, v = positions[a], positions[b], directions[a], -directions[b]
+def cubic(p: np.ndarray, q: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Points (n, 2) of the cubic from p to q that leaves along u and arrives along v, unit vectors;
+    about a pixel apart and without its ends [px]."""
     chord = np.hypot(*(q - p))
-    n = max(int(chord), 2)
-    t = np.linspace(0.0, 1.0, n + 1)[1:-1, None]
-    points = (
+    t = np.linspace(0.0, 1.0, max(int(chord), 2) + 1)[1:-1, None]
+    return (
         (2 * t**3 - 3 * t**2 + 1) * p
         + (t**3 - 2 * t**2 + t) * chord * u
         + (3 * t**2 - 2 * t**3) * q
         + (t**3 - t**2) * chord * v
     )
+
+
+def bridge(junction: Junction, a: int, b: int, radius: float) -> np.ndarray:
+    """Points (n, 2) of the least-energy bridge from port a to port b, without the ports."""
+    positions, directions, _ = _flat_ports(junction, radius)
+    points = cubic(positions[a], positions[b], directions[a], -directions[b])
     if junction.spine is not None:
         points = _Unrolled(junction.spine, radius).restore(points)
     return points

@@ -1,15 +1,14 @@
 """Where centrelines cross, and which strand lies on top."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from wrod.patterns.curve import arc_length
 from wrod.perception.trace import Centerline
 
-SAME_COLOR = (
-    30.0  # strands whose colours differ by less are told apart by their edges [grey levels]
-)
+# Strands whose colours differ by less are told apart by their edges [grey levels].
+SAME_COLOR = 30.0
 CERTAIN = 0.25  # least lead of one strand's evidence over the other's, as a share of both
 
 
@@ -142,5 +141,4 @@ def _stacked(crossing: Crossing, lines: list[Centerline], image: np.ndarray) -> 
         lead = (edges[0] - edges[1]) / max(sum(edges), 8.0)
     if abs(lead) < CERTAIN:
         return crossing
-    over = 0 if lead > 0 else 1
-    return Crossing(crossing.point, crossing.strands, crossing.arc_lengths, over)
+    return replace(crossing, over=0 if lead > 0 else 1)

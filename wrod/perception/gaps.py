@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 
 from wrod.patterns.curve import arc_length
+from wrod.perception.bridges import cubic
 from wrod.perception.trace import Centerline
 
 _LONGEST = 30.0  # gap, in half-widths of the stroke
@@ -70,14 +71,7 @@ def _reversed(line: Centerline) -> Centerline:
 def _joined(first: Centerline, second: Centerline) -> Centerline:
     """One stroke of two, with the cubic between them that leaves both along their directions."""
     (p, u), (q, v) = _end(first, True), _end(second, False)
-    gap = float(np.hypot(*(q - p)))
-    t = np.linspace(0.0, 1.0, max(int(gap), 2) + 1)[1:-1, None]
-    between = (
-        (2 * t**3 - 3 * t**2 + 1) * p
-        + (t**3 - 2 * t**2 + t) * gap * u
-        + (3 * t**2 - 2 * t**3) * q
-        - (t**3 - t**2) * gap * v
-    )
+    between = cubic(p, q, u, -v)
     width = np.linspace(first.half_width[-1], second.half_width[0], len(between) + 2)[1:-1]
     return Centerline(
         np.vstack([first.points, between, second.points]),

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import PerceptionError, needed_extras
+from wrod.errors import PerceptionError
 from wrod.patterns.curve import arc_length
 
 
@@ -99,7 +99,6 @@ def compare(deployed: np.ndarray, pattern, points: int = 50) -> Measurement:
     )
 
 
-@needed_extras()
 @arguments.checked(
     PerceptionError,
     pattern=arguments.either(

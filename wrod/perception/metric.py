@@ -83,6 +83,18 @@ class SeenPlane:
         """(n, 2) positions on the table [m] -> (n, 2) undistorted pixels."""
         return _project(np.linalg.inv(self.homography), np.asarray(points, float))
 
+    def fill(self, region: np.ndarray, corners: np.ndarray, value: int) -> None:
+        """Set (H, W) uint8 to a value within convex corners (n, 2) on the table [m]."""
+        import cv2
+
+        cv2.fillConvexPoly(region, np.round(self.to_pixels(corners)).astype(np.int32), value)
+
+    def sheet(self, low: np.ndarray, high: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        """(H, W) uint8, 255 within the rectangle of two corners (2,) on the table [m]."""
+        region = np.zeros(shape, np.uint8)
+        self.fill(region, np.array([low, [high[0], low[1]], high, [low[0], high[1]]]), 255)
+        return region
+
     @classmethod
     @needed_extras()
     def from_markers(
@@ -184,9 +196,6 @@ class MarkerLayout:
 
     def region(self, plane: SeenPlane, shape: tuple[int, int]) -> np.ndarray:
         """(H, W) uint8, 255 on the sheet and beside its markers, where strokes may be."""
-        import cv2
-
-        region = np.zeros(shape, np.uint8)
         every = np.vstack(list(self.corners.values()))
         side = np.hypot(*(self.corners[0][1] - self.corners[0][0]))
         if self.paper is None:
@@ -194,12 +203,10 @@ class MarkerLayout:
         else:
             # A sheet's rim is in the shade of its edge.
             low, high = np.array([0.15, 0.15]) * side, np.array(self.paper) - 0.15 * side
-        sheet = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-        cv2.fillConvexPoly(region, np.round(plane.to_pixels(sheet)).astype(np.int32), 255)
+        region = plane.sheet(low, high, shape)
         for corners in self.corners.values():
             middle = corners.mean(0)
-            grown = middle + 1.2 * (corners - middle)
-            cv2.fillConvexPoly(region, np.round(plane.to_pixels(grown)).astype(np.int32), 0)
+            plane.fill(region, middle + 1.2 * (corners - middle), 0)
         return region
 
 

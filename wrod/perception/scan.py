@@ -89,7 +89,8 @@ def _is_array(value):
     return arguments.picture(value) if isinstance(value, np.ndarray) else "must be an array"
 
 
-_CHECKED_AS_SCAN = arguments.checked(
+@needed_extras()
+@arguments.checked(
     PerceptionError,
     image=arguments.either(arguments.path, _is_array),
     markers=arguments.optional(
@@ -106,10 +107,6 @@ _CHECKED_AS_SCAN = arguments.checked(
     kind=arguments.text,
     color=arguments.optional(arguments.array((3,))),
 )
-
-
-@needed_extras()
-@_CHECKED_AS_SCAN
 def read_scan(
     image: str | os.PathLike[str] | np.ndarray,
     *,
@@ -142,7 +139,6 @@ def read_scan(
     return Scan(name, picture, found, lines, plane, dots)
 
 
-@needed_extras()
 @arguments.checked(
     PerceptionError,
     start=arguments.either(arguments.text, arguments.array((2,))),
@@ -281,7 +277,8 @@ def _plane(picture, markers, sheet, scale, camera) -> tuple[SeenPlane | None, np
         return plane, layout.region(plane, picture.shape[:2])
     if sheet is not None:
         plane = SeenPlane.from_sheet(picture, sheet, camera)
-        return plane, _sheet_region(plane, sheet, picture.shape[:2])
+        size = np.array(sheet)
+        return plane, plane.sheet(0.02 * size, 0.98 * size, picture.shape[:2])
     if scale is not None:
         wide = scale * max(picture.shape[:2])
         if wide > _WIDEST:
@@ -291,17 +288,6 @@ def _plane(picture, markers, sheet, scale, camera) -> tuple[SeenPlane | None, np
             )
         return SeenPlane.from_scale(scale, picture.shape[0], camera), None
     return None, None
-
-
-def _sheet_region(
-    plane: SeenPlane, size: tuple[float, float], shape: tuple[int, int]
-) -> np.ndarray:
-    import cv2
-
-    low, high = 0.02 * np.array(size), 0.98 * np.array(size)
-    sheet = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-    region = np.zeros(shape, np.uint8)
-    return cv2.fillConvexPoly(region, np.round(plane.to_pixels(sheet)).astype(np.int32), 255)
 
 
 def _foreground(picture, mask, kind, color, region) -> tuple[np.ndarray, np.ndarray | None]:

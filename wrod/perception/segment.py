@@ -1,5 +1,8 @@
 """Segmentation: what of a picture is rod or ink, pixel by pixel."""
 
+from collections.abc import Callable
+from functools import reduce
+
 import numpy as np
 
 from wrod.errors import PerceptionError
@@ -62,7 +65,7 @@ def segment_rods(
 
     plain = image[::4, ::4].reshape(-1, *image.shape[2:]) if region is None else image[region > 0]
     ground = np.atleast_1d(np.median(plain, axis=0))
-    difference = _largest(cv2.absdiff(image, (*ground.tolist(), 0.0, 0.0, 0.0)[:4]))
+    difference = _over_channels(cv2.max, cv2.absdiff(image, (*ground.tolist(), 0.0, 0.0, 0.0)[:4]))
     if color is not None:
         if image.ndim == 2:
             raise PerceptionError("a rod colour was given, but the picture is grey; leave it out")
@@ -87,10 +90,12 @@ def _likeness(image, ground, color, difference) -> np.ndarray:
     keep its hue: so distances are those from all brightnesses of either colour, as long as their
     hues differ, each over what the other colour itself has.
     """
+    import cv2
+
     rod = np.array(color, float)
     across, length = np.linalg.norm(np.cross(rod, ground)), np.linalg.norm(ground)
     if across < _HUE * np.linalg.norm(rod) * length or length == 0.0:
-        other = _largest(np.abs(image - rod.astype(np.float32)))
+        other = _over_channels(cv2.max, np.abs(image - rod.astype(np.float32)))
         return difference / (difference.astype(np.float32) + other + 1.0)
 
     def beside(hue):
@@ -121,7 +126,7 @@ def segment_ink(
     paper = cv2.resize(paper, (width, height), interpolation=cv2.INTER_LINEAR)
     # Share of the paper's light that is missing, in the channel where most is.
     bright = cv2.divide(image, paper, scale=220.0)
-    darkness = 220 - np.minimum(_smallest(bright), 220)
+    darkness = 220 - np.minimum(_over_channels(cv2.min, bright), 220)
     darkness = cv2.GaussianBlur(darkness, (3, 3), 0)
     inside = darkness if region is None else darkness[region > 0]
     level, _ = cv2.threshold(inside, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
@@ -160,19 +165,8 @@ def _cut(
     return mask, foreground
 
 
-def _largest(image: np.ndarray) -> np.ndarray:
+def _over_channels(choose: Callable, image: np.ndarray) -> np.ndarray:
+    """(H, W) what `choose` takes of two channels after the other; of a grey picture, itself."""
     import cv2
 
-    if image.ndim == 2:
-        return image
-    red, green, blue = cv2.split(image)
-    return cv2.max(cv2.max(red, green), blue)
-
-
-def _smallest(image: np.ndarray) -> np.ndarray:
-    import cv2
-
-    if image.ndim == 2:
-        return image
-    red, green, blue = cv2.split(image)
-    return cv2.min(cv2.min(red, green), blue)
+    return image if image.ndim == 2 else reduce(choose, cv2.split(image))

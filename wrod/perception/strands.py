@@ -67,8 +67,9 @@ def _gaps(network: Network) -> list[Junction]:
     energy = bending_energy(
         positions, directions, np.array([p.curvature for p in free]), network.radius
     )
-    distance = np.hypot(*(positions[None] - positions[:, None]).transpose(2, 0, 1))
-    facing = ((positions[None] - positions[:, None]) * directions[:, None]).sum(-1) > 0
+    chord = positions[None] - positions[:, None]
+    distance = np.hypot(*chord.transpose(2, 0, 1))
+    facing = (chord * directions[:, None]).sum(-1) > 0
     allowed = facing & facing.T & (distance < (GAP + 5.0) * network.radius)
     allowed &= energy < GAP_ENERGY
     pairs = [tuple(pair) for pair in np.argwhere(np.triu(allowed, 1))]

@@ -255,24 +255,25 @@ def _refine(
     return lines
 
 
-def _end_tangent(points: np.ndarray, radius: float) -> np.ndarray:
-    """Unit tangent out of the last of the points."""
+def _ahead(points, foreground, radius, first, count) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (n, 2) a pixel apart straight on from the last of a line, numbers `first` to `count`;
+    which of them are within the picture, and which on the foreground."""
     step = np.hypot(*(points[-1] - points[-2])) or 1.0
     n = min(len(points), max(int(3 * radius / step), 4))
     out = points[-1] - points[-n]
-    return out / max(np.hypot(*out), 1e-12)
+    tangent = out / max(np.hypot(*out), 1e-12)
+    beyond = points[-1] + np.arange(first, count)[:, None] * tangent
+    inside = ((beyond >= 0) & (beyond <= np.array(foreground.shape[::-1]) - 1)).all(1)
+    on = inside & (refine.sample(foreground, beyond[None])[0] > refine.EDGE)
+    return beyond, inside, on
 
 
 def _extend(points, alone, foreground, radius):
     """Prolong both ends straight over the rest of the foreground, at most 5 radii."""
     for _ in range(2):
         points, alone = points[::-1], alone[::-1]
-        tangent = _end_tangent(points, radius)
-        beyond = points[-1] + np.arange(1, int(5 * radius) + 2)[:, None] * tangent
-        height, width = foreground.shape
-        inside = ((beyond >= 0) & (beyond <= [width - 1, height - 1])).all(1)
-        inside &= refine.sample(foreground, beyond[None])[0] > refine.EDGE
-        n = len(beyond) if inside.all() else int(inside.argmin())
+        beyond, _, on = _ahead(points, foreground, radius, 1, int(5 * radius) + 2)
+        n = len(beyond) if on.all() else int(on.argmin())
         points = np.vstack([points, beyond[:n]])
         alone = np.r_[alone, np.ones(n)]
     return points, alone
@@ -280,14 +281,10 @@ def _extend(points, alone, foreground, radius):
 
 def _cut_ends(points, width, foreground, radius):
     """End the line one radius before its strand ends; at the picture's border, on the border."""
-    height_px, width_px = foreground.shape
     for _ in range(2):
         points, width = points[::-1], width[::-1]
-        tangent = _end_tangent(points, radius)
-        beyond = points[-1] + np.arange(0, int(3 * radius) + 4)[:, None] * tangent
-        inside = ((beyond >= 0) & (beyond <= [width_px - 1, height_px - 1])).all(1)
-        value = refine.sample(foreground, beyond[None])[0]
-        end = int(np.argmin(inside & (value > refine.EDGE)))
+        beyond, inside, on = _ahead(points, foreground, radius, 0, int(3 * radius) + 4)
+        end = int(np.argmin(on))
         if not inside.all() and end == int(np.argmin(inside)):
             points = np.vstack([points, beyond[1:end]])
             width = np.r_[width, np.repeat(width[-1], max(end - 1, 0))]
