@@ -6,9 +6,8 @@ import pytest
 import wrod
 from wrod.deployment.fixtures import Fixtures
 from wrod.errors import SceneError
-from wrod.scene.closeup import knot_corners
-from wrod.scene.moments import draw_moments
-from wrod.scene.tying import export_scene
+from wrod.scene.render import draw_moments
+from wrod.scene.tying import export_scene, knot_corners
 
 PATTERN = wrod.pattern("line")
 

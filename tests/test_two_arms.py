@@ -18,7 +18,7 @@ from wrod.robot.transfer_path import HandFollower, follow
 from wrod.robot.transfers import Hand, HandFilm, find_grasps, find_transfers
 from wrod.robot.two_arms import solve_two_arms
 from wrod.scene.brought import with_waiting
-from wrod.scene.moments import moments
+from wrod.scene.render import moments
 from wrod.scene.tying import export_scene
 from wrod.scene.validate import open_stage, validation_errors
 

@@ -43,8 +43,7 @@ def command(
     side and close.
     """
     from wrod.errors import DataError
-    from wrod.scene.moments import draw_moments
-    from wrod.scene.render import render
+    from wrod.scene.render import draw_moments, render
     from wrod.scene.validate import open_stage
     from wrod.scene.view import write_page
 

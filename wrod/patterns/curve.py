@@ -90,5 +90,6 @@ def smoothstep(x):
 
 
 def arc_length(points: np.ndarray) -> np.ndarray:
-    """(n,) length of the polyline (n, 2 or 3) up to each of its points."""
-    return np.insert(np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)), 0, 0.0)
+    """(..., n) lengths of polylines (..., n, 2 or 3) up to each of their points."""
+    steps = np.linalg.norm(np.diff(points, axis=-2), axis=-1)
+    return np.insert(np.cumsum(steps, axis=-1), 0, 0.0, axis=-1)

@@ -7,6 +7,7 @@ import numpy as np
 from wrod.robot.mesh import read_mesh
 from wrod.robot.model import Robot
 from wrod.scene.primitives import Materials, add_mesh, add_shape, set_pose
+from wrod.scene.workplace import BASE_HEIGHT
 
 _GREY = (0.45, 0.45, 0.48)
 
@@ -43,6 +44,15 @@ def add_arm(
             add_link(child, f"{path}/{prim_name(child)}", relative)
 
     add_link(robot.base, path, np.broadcast_to(base, (len(times), 4, 4)))
+
+
+def reach_of(robot: Robot, base: np.ndarray, positions) -> tuple[list[np.ndarray], np.ndarray]:
+    """(n, 3) places of each link of an arm on its way, and of its pedestal's foot [m]; arguments as
+    those of `add_arm`."""
+    poses = robot.link_poses(positions[:: max(1, len(positions) // 20)])
+    links = [pose[:, :3, 3] @ base[:3, :3].T + base[:3, 3] for pose in poses.values()]
+    feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
+    return links, (base @ robot.mount)[:3, 3] + feet
 
 
 def add_visuals(stage, path: str, shapes, materials: Materials) -> None:

@@ -89,16 +89,16 @@ def _paint() -> None:
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what else is printed is no picture
     import newton.sensors  # noqa: F401  # takes seconds, in which the scene is made
-    from PIL import Image  # noqa: F401
+    from PIL import Image
 
     from wrod.scene import newton_model  # noqa: F401
-    from wrod.scene.render import compile_pictures, four_moments, write_png
+    from wrod.scene.render import compile_pictures, four_moments
 
     compile_pictures()
     scene = os.fsdecode(sys.stdin.buffer.read())
     if scene:
         file = io.BytesIO()
-        write_png(file, four_moments(Path(scene)))
+        Image.fromarray(four_moments(Path(scene))).save(file, "PNG")
         answer.write(file.getvalue())
         answer.close()
 

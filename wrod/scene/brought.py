@@ -31,7 +31,7 @@ def with_waiting(
     for k in np.flatnonzero(absent):
         share = smoothstep((time[k] - begin) / max(time[absent][-1] - begin, 1e-9))
         # Edges turn from one direction into the other, so that the rod keeps its length.
-        tangent = _turned(np.array([1.0, 0.0, 0.0]), edges / length[:, None], share)
+        tangent = turned(np.array([1.0, 0.0, 0.0]), edges / length[:, None], share)
         tip = waiting[-1] + share * (first[-1] - waiting[-1])
         places = np.concatenate([np.zeros((1, 3)), np.cumsum(tangent * length[:, None], axis=0)])
         places += tip - places[-1]
@@ -47,7 +47,7 @@ def waiting_line(length: float, ground: np.ndarray, radius: float) -> np.ndarray
     return np.column_stack([x, np.full_like(x, ground[:, 1].min()), np.full_like(x, radius)])
 
 
-def _turned(start: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
+def turned(start: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
     """(n, 3) directions on the way from `start` (3,) to `end` (n, 3), along great circles."""
     cosine = np.clip(end @ start, -1.0, 1.0)
     angle = np.arccos(cosine)[:, None]

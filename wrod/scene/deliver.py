@@ -5,12 +5,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from wrod.files import write_atomically
+from wrod.files import write_atomically, write_picture
 from wrod.robot.joint_path import JointPath
 from wrod.scene.beside import painter
 from wrod.scene.export import export_usd
 from wrod.scene.phases import falling
-from wrod.scene.render import four_moments, save_png
+from wrod.scene.render import four_moments
 
 
 def deliver(
@@ -53,16 +53,7 @@ def deliver(
         drawn = None if beside is None else beside.finish()
         path = out / "scene.png"
         if drawn is None:
-            written.append(draw_scene(scene, path))
+            written.append(write_picture(path, four_moments(scene)))
         else:
             written.append(write_atomically(path, lambda file: file.write(drawn), "wb"))
     return written
-
-
-def draw_scene(scene: Path, path: Path) -> Path:
-    """Write `four_moments` of a scene as a PNG.
-
-    Raises:
-        SceneError: see `wrod.scene.render.Renderer`.
-    """
-    return save_png(path, four_moments(scene))

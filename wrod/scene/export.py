@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,13 +11,20 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import SceneError, needed_extras
-from wrod.files import write_atomically
 from wrod.robot.grip import Grip, TravelledPath
-from wrod.scene.arm import add_arm, add_visuals
+from wrod.scene.arm import add_arm, add_visuals, reach_of
 from wrod.scene.phases import covered, falling, film, rods_of
 from wrod.scene.primitives import Materials, set_pose
 from wrod.scene.rod_shapes import POINTS
-from wrod.scene.stage import add_cameras, add_lights, add_view, new_stage
+from wrod.scene.stage import (
+    add_cameras,
+    add_lights,
+    add_view,
+    new_stage,
+    set_in_time,
+    stage_path,
+    write_stage,
+)
 from wrod.scene.workplace import (
     BASE_HEIGHT,
     add_floor,
@@ -31,7 +37,6 @@ from wrod.scene.workplace import (
     table_under,
 )
 
-SUFFIXES = (".usdc", ".usda", ".usd")
 # Rods at the nodes of one deployment, or of several.
 _shapes = arguments.either(
     arguments.array(finite=False),
@@ -104,9 +109,7 @@ def export_usd(
     Raises:
         SceneError: the suffix is another, the trajectory is missing, or arrays do not fit it.
     """
-    path = Path(path)
-    if path.suffix not in SUFFIXES:
-        raise SceneError(f"{path}: a stage needs one of the suffixes {', '.join(SUFFIXES)}")
+    path = stage_path(path)
     if trajectory is None:
         raise SceneError("a scene needs a trajectory; pass trajectory=...")
     deployments = _deployments(
@@ -128,12 +131,7 @@ def export_usd(
     _surround(stage, deployments, np.concatenate(seen), floor, materials)
     stage.GetRootLayer().documentation = _READ_ME
     stage.GetRootLayer().customLayerData = {"creator": "wrod", "deployments": len(deployments)}
-    with tempfile.TemporaryDirectory() as folder:
-        draft = Path(folder) / f"scene{path.suffix}"
-        if not stage.GetRootLayer().Export(str(draft)):
-            raise SceneError(f"{path}: the stage could not be written")
-        data = draft.read_bytes()
-    return write_atomically(path, lambda file: file.write(data), "wb")
+    return write_stage(stage, path)
 
 
 def _surround(stage, deployments, points: np.ndarray, floor: float, materials) -> None:
@@ -284,20 +282,17 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
             there = [joint_path.holds_stand(time) for time in shown.time]
             add_holder(stage, f"{root}/holder", joint_path.stand, times, there, materials)
         front = base[:2, 0]
-        poses = robot.link_poses(shown.positions[:: max(1, len(times) // 20)])
-        for link in poses.values():
-            seen.append(link[:, :3, 3] @ base[:3, :3].T + base[:3, 3])
-        feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
-        seen.append((base @ robot.mount)[:3, 3] + feet)
+        links, feet = reach_of(robot, base, shown.positions)
+        seen += [*links, feet]
     item.front = item.turn[:2, :2] @ front
     item.corners, item.way = item.points @ item.turn.T + shift, way @ item.turn.T + shift
     figures = {**trajectory.metadata}
     if joint_path is not None:
         figures["joint_path"] = joint_path.metadata
     prim.SetCustomDataByKey("wrod", _plain(figures))
-    _sampled(prim, "wrod:arcLength", trajectory.arc_length[shown.node], times, Sdf)
+    set_in_time(prim, "wrod:arcLength", trajectory.arc_length[shown.node], times)
     if joint_path is not None:
-        _sampled(prim, "wrod:time", shown.time, times, Sdf)
+        set_in_time(prim, "wrod:time", shown.time, times)
         phase = prim.CreateAttribute("wrod:phase", Sdf.ValueTypeNames.Token, custom=True)
         for k, name in enumerate(shown.phase):
             if k == 0 or name != shown.phase[k - 1]:
@@ -327,12 +322,6 @@ def _rod_name(trajectory, rod) -> str | None:
     if isinstance(named, str):
         return named
     return next((entry.name for entry in catalogue() if entry.rod == rod), None)
-
-
-def _sampled(prim, name: str, values, times, sdf) -> None:
-    attribute = prim.CreateAttribute(name, sdf.ValueTypeNames.Double, custom=True)
-    for code, value in zip(times, values, strict=True):
-        attribute.Set(float(value), float(code))
 
 
 def _plain(value):

@@ -29,6 +29,7 @@ from wrod.scene.page_parts import (
     pose_of,
 )
 from wrod.scene.phases import Falls, covered, falling, rods_of, with_release
+from wrod.scene.stage import standing
 from wrod.scene.workplace import table_under
 
 _FRAMES = 400  # at most: a page of a few MB whatever the path's duration
@@ -146,7 +147,6 @@ def _clock(now: float, duration: float, joint_path) -> str:
     return f"{doing}{now:.1f} s of {duration:.0f} s"
 
 
-@needed_extras()
 def write_laying_page(
     out: str | os.PathLike[str], deployment, trajectory, pattern, rod, interval: float
 ) -> Path:
@@ -209,18 +209,10 @@ def _aim(camera, placement, seen: np.ndarray) -> None:
         away = away / max(np.linalg.norm(away), 1e-9)
         away = away + 0.8 * np.array([-away[1], away[0]])
     back = np.append(away / np.linalg.norm(away), 0.55)
-    back /= np.linalg.norm(back)
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right /= np.linalg.norm(right)
-    axes = np.array([right, np.cross(back, right), back])
-    local = seen @ axes.T
-    middle = (local.min(0) + local.max(0)) / 2
-    across = np.abs(local - middle) / [_WIDE, 1.0, 1.0]
-    distance = (across[:, :2].max(1) / np.tan(0.45 * _VIEW) + (local - middle)[:, 2]).max()
+    eye, middle = standing(seen, back, _WIDE, np.tan(0.45 * _VIEW))
     camera.fov = _VIEW
     camera.up = (0.0, 0.0, 1.0)
-    camera.look_at = tuple(middle @ axes)
-    camera.position = tuple((middle + [0.0, 0.0, distance]) @ axes)
+    camera.look_at, camera.position = tuple(middle), tuple(eye)
 
 
 def _workplace(server, trajectory, lies, joint_path, pattern, radius: float) -> None:

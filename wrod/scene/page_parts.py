@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import SceneError
+from wrod.patterns.curve import arc_length
 from wrod.robot.mesh import read_mesh
 from wrod.robot.urdf import LinkShape
 from wrod.scene.workplace import BASE_HEIGHT, COLUMN
@@ -58,8 +59,7 @@ def expected_errors(trajectory, pattern, shapes: np.ndarray) -> np.ndarray | Non
     expected = trajectory.expected
     if expected is None or not hasattr(pattern, "sample"):
         return None
-    steps = np.linalg.norm(np.diff(shapes, axis=1), axis=2)
-    s = np.insert(np.cumsum(steps, axis=1), 0, 0.0, axis=1) - pattern.remainder_length
+    s = arc_length(shapes) - pattern.remainder_length
     along = expected["error_along"]
     off = np.interp(s, np.linspace(0.0, pattern.length, len(along)), along, left=0.0, right=0.0)
     return np.where(shapes[..., 2] < trajectory.contact[0, 2] + _LIES, off, 0.0)

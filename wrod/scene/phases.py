@@ -8,6 +8,7 @@ import numpy as np
 from wrod.planning.beyond import Beyond, longest_free
 from wrod.planning.shapes import with_shapes
 from wrod.planning.tail import with_tail
+from wrod.scene.brought import turned
 from wrod.scene.rod_shapes import whole_rod
 
 MOST = 120  # time codes before the first node, and after the last
@@ -196,12 +197,7 @@ def let_go(shape: np.ndarray, share: float) -> np.ndarray:
     along = shape[first] - shape[first - 1] if first > 0 else steps[0]
     ahead = along * [1.0, 1.0, 0.0]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-12)
-    # Turned by a share of the angle, each piece in the plane of its own direction and ahead.
-    pieces = steps / np.maximum(lengths, 1e-12)
-    angle = np.arccos(np.clip(pieces @ ahead, -1.0, 1.0))[:, None]
-    aside = pieces - (pieces @ ahead)[:, None] * ahead
-    aside = aside / np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
-    turned = np.cos((1 - share) * angle) * ahead + np.sin((1 - share) * angle) * aside
+    pieces = turned(ahead, steps / np.maximum(lengths, 1e-12), 1 - share)
     fallen = shape.copy()
-    fallen[first + 1 :] = shape[first] + np.cumsum(lengths * turned, axis=0)
+    fallen[first + 1 :] = shape[first] + np.cumsum(lengths * pieces, axis=0)
     return fallen

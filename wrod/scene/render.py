@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import SceneError, needed_extras
-from wrod.files import write_atomically
+from wrod.files import write_picture
+from wrod.scene.validate import open_stage
 
 _SKY, _GROUND = (0.50, 0.51, 0.55), (0.20, 0.19, 0.18)
 _SUN = (-0.35, 0.40, -0.85)
@@ -17,6 +18,9 @@ _BACKGROUND = (226, 230, 236)
 _RAYS = 4  # a pixel
 _MOMENT = (720, 540)  # of each of the four of a scene
 _GUTTER = ((2, 2), (2, 2), (0, 0))  # of white about each
+_TYING = ("side", "close")  # cameras; the second without the arms, which hide the rods
+_ARMS = {"robot_0", "robot_1"}
+_GAP, _PAPER = 4, 255  # [pixels], grey
 # A stage that takes every kernel that larger ones take.
 _LEAST = """#usda 1.0
 ( startTimeCode = 0
@@ -117,7 +121,6 @@ def time_codes(start: float, end: float, frames: int) -> np.ndarray:
     return np.unique(np.round(np.linspace(start, end, frames)))
 
 
-@needed_extras()
 def render(
     path: str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -154,19 +157,18 @@ def render(
     times = time_codes(renderer.scene.start, renderer.scene.end, frames)
     for number, time in enumerate(times):
         target = out if single else out / f"{camera}_{int(time):04d}.png"
-        written.append(save_png(target, renderer.frame(float(time))))
+        written.append(write_picture(target, renderer.frame(float(time))))
         if progress is not None:
             progress(number + 1, len(times))
     return written
 
 
-@needed_extras()
 def four_moments(scene: Path) -> np.ndarray:
     """(height, width, 3) four moments of a scene, uint8 RGB: all of it, rod and hand twice, and
     from above what lies in the end.
 
     Raises:
-        SceneError: see `wrod.scene.render.Renderer`.
+        SceneError: see `Renderer`.
     """
     renderer = Renderer(scene, "perspective", _MOMENT, ("grip_path",))
     codes = time_codes(renderer.scene.start, renderer.scene.end, 4)
@@ -179,14 +181,47 @@ def four_moments(scene: Path) -> np.ndarray:
     return np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])
 
 
-def save_png(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
-    """Write a (height, width, 3) uint8 picture."""
-    return write_atomically(path, lambda file: write_png(file, picture), "wb")
+def draw_moments(
+    path: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    size: tuple[int, int] = (400, 300),
+    progress: Callable[[int, int], object] | None = None,
+) -> Path:
+    """Write one PNG with a column for every moment that a stage names, a row for every camera.
+
+    Args:
+        path: a stage of `wrod.scene.tying.export_scene`.
+        out: the picture.
+        size: of each [pixels].
+        progress: called with (done, total).
+
+    Raises:
+        SceneError: the stage names no moments, or see `Renderer`.
+    """
+    rows, done = [], 0
+    for camera in _TYING:
+        stage = open_stage(path)
+        codes = moments(stage)
+        if not codes:
+            raise SceneError(f"{path}: names no moments; give a number of frames instead")
+        arms = {prim.GetName() for prim in stage.Traverse()} & _ARMS
+        renderer = Renderer(path, camera, size, tuple(arms) if camera == "close" else ())
+        row = []
+        for code in codes.values():
+            row += [np.full((size[1], _GAP, 3), _PAPER, dtype=np.uint8), renderer.frame(code)]
+            done += 1
+            if progress is not None:
+                progress(done, len(codes) * len(_TYING))
+        rows += [np.full((_GAP, sum(p.shape[1] for p in row[1:]), 3), _PAPER, dtype=np.uint8)]
+        rows.append(np.hstack(row[1:]))
+    return write_picture(out, np.vstack(rows[1:]))
 
 
-@needed_extras()
-def write_png(file, picture: np.ndarray) -> None:
-    """The same into an open binary file."""
-    from PIL import Image
-
-    Image.fromarray(picture).save(file, format="png")
+def moments(stage) -> dict[str, float]:
+    """Time codes of a stage's moments by name, in the order of time."""
+    for prim in stage.Traverse():
+        told = prim.GetCustomDataByKey("wrod") or {}
+        if "moments" in told:
+            return dict(sorted(told["moments"].items(), key=lambda item: item[1]))
+    return {}

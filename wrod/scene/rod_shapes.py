@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from wrod.patterns.curve import arc_length
 from wrod.planning.shapes import with_shapes
 from wrod.planning.trajectory import Trajectory
 
@@ -38,8 +39,7 @@ def whole_rod(trajectory: Trajectory, pattern=None, points: int = POINTS) -> np.
         for k, end in enumerate(laid):
             rods[k] = table(np.linspace(0.0, end, points))
         return rods
-    steps = np.linalg.norm(np.diff(shape, axis=1), axis=2)
-    hanging = np.concatenate([np.zeros((len(laid), 1)), np.cumsum(steps, axis=1)], axis=1)
+    hanging = arc_length(shape)
     total = float(np.median(laid + hanging[:, -1]))
     material = np.linspace(0.0, total, points)
     for k, end in enumerate(laid):

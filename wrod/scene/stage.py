@@ -1,9 +1,53 @@
-"""A stage in metres, Z up, with time codes; its lights and cameras."""
+"""A stage in metres, Z up, with time codes; its lights and cameras, and its file."""
+
+import os
+import tempfile
+from pathlib import Path
 
 import numpy as np
 
+from wrod.errors import SceneError
+from wrod.files import write_atomically
+
+SUFFIXES = (".usdc", ".usda", ".usd")
 FRAMES_PER_SECOND = 24.0
 _VIEW = 36.0  # [deg] that a view sees, upright
+_FILLED = float(np.tan(np.radians(_VIEW) / 2)) / 1.12  # tangent of half the angle that is filled
+
+
+def stage_path(path: str | os.PathLike[str]) -> Path:
+    """The path of a stage to be written.
+
+    Raises:
+        SceneError: it has another suffix.
+    """
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise SceneError(f"{path}: a stage needs one of the suffixes {', '.join(SUFFIXES)}")
+    return path
+
+
+def write_stage(stage, path: Path) -> Path:
+    """Write a stage, whole or not at all.
+
+    Raises:
+        SceneError: OpenUSD could not.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        draft = Path(folder) / f"scene{path.suffix}"
+        if not stage.GetRootLayer().Export(str(draft)):
+            raise SceneError(f"{path}: the stage could not be written")
+        data = draft.read_bytes()
+    return write_atomically(path, lambda file: file.write(data), "wb")
+
+
+def set_in_time(prim, name: str, values, codes) -> None:
+    """A number of a prim at time codes."""
+    from pxr import Sdf
+
+    attribute = prim.CreateAttribute(name, Sdf.ValueTypeNames.Double, custom=True)
+    for code, value in zip(codes, values, strict=True):
+        attribute.Set(float(value), float(code))
 
 
 def new_stage(first: float, last: float):
@@ -82,29 +126,34 @@ def add_view(stage, name: str, points: np.ndarray, back, later: dict | None = No
     Args:
         later: time code -> other points to look at; the camera moves between codes.
     """
-    eye, middle = _stand(points, back)
+    eye, middle = standing(points, back)
     camera = add_camera(stage, name, eye, middle, fov=_VIEW)
     if later:
         from pxr import Gf
 
         (place,) = camera.GetOrderedXformOps()
         for code, other in later.items():
-            eye, middle = _stand(other, back)
+            eye, middle = standing(other, back)
             view = Gf.Matrix4d().SetLookAt(Gf.Vec3d(*eye), Gf.Vec3d(*middle), Gf.Vec3d(0, 0, 1))
             place.Set(view.GetInverse(), float(code))
 
 
-def _stand(points: np.ndarray, back) -> tuple[np.ndarray, np.ndarray]:
-    """Where a camera stands (3,) and what it looks at (3,) [m]."""
-    margin = 1.12
+def standing(
+    points: np.ndarray, back, wide: float = 4 / 3, tangent: float = _FILLED
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where a camera stands (3,) that looks at all of points (n, 3), and what it looks at (3,) [m].
+
+    Args:
+        back: (3,) direction from which it looks.
+        wide: width over height of its picture.
+        tangent: of half the angle, upright, that the points are to fill.
+    """
     back = np.asarray(back, dtype=float) / np.linalg.norm(back)
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
-    up = np.cross(back, right)
-    frame = np.stack([right, up, back])
+    frame = np.stack([right, np.cross(back, right), back])
     local = points @ frame.T
     middle = (local.min(0) + local.max(0)) / 2
-    across = np.maximum(*(np.abs(local - middle)[:, :2] * [3 / 4, 1]).T)
-    distance = (local[:, 2] - middle[2] + margin * across / np.tan(np.radians(_VIEW) / 2)).max()
-    middle = middle @ frame
-    return middle + distance * back, middle
+    across = (np.abs(local - middle)[:, :2] / [wide, 1.0]).max(1)
+    distance = (local[:, 2] - middle[2] + across / tangent).max()
+    return (middle + [0.0, 0.0, distance]) @ frame, middle @ frame

@@ -1,25 +1,31 @@
 """A rod laid between fixtures, or a tied knot, with both arms, as a USD stage."""
 
 import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from wrod.deployment.fixtures import Fixtures
 from wrod.errors import RobotError, SceneError, needed_extras
-from wrod.files import write_atomically
+from wrod.patterns.curve import arc_length
 from wrod.robot.placement import Placement
 from wrod.robot.transfers import HandFilm, Transfer, find_transfers
 from wrod.robot.two_arms import ArmFilm, solve_two_arms
-from wrod.scene.arm import add_arm
+from wrod.scene.arm import add_arm, reach_of
 from wrod.scene.brought import waiting_line, with_waiting
-from wrod.scene.closeup import knot_corners
 from wrod.scene.primitives import Materials, add_curve, add_shape
-from wrod.scene.stage import add_cameras, add_lights, add_view, new_stage
+from wrod.scene.stage import (
+    add_cameras,
+    add_lights,
+    add_view,
+    new_stage,
+    set_in_time,
+    stage_path,
+    write_stage,
+)
 from wrod.scene.workplace import (
-    BASE_HEIGHT,
     ROD_COLORS,
     add_floor,
     add_pattern,
@@ -28,11 +34,14 @@ from wrod.scene.workplace import (
 )
 from wrod.solvers.solids import Cylinder
 
-SUFFIXES = (".usdc", ".usda", ".usd")
+_ROOT = "/World/Deployment_000"
 _STEEL, _OTHER = (0.62, 0.64, 0.67), (0.10, 0.50, 0.22)
 _SIDE = 0.08  # [m] beside what is laid, where rods wait that are laid later
 _HIGH = 0.6  # [m]
 _LOW = 0.03  # [m] what is lower lies on the table
+_TOUCH = 1.3  # rods nearer than so many times their thickness touch
+_APART = 8.0  # of one rod, what is so many radii farther along
+_ROOM = 0.03  # [m] about what touches
 
 
 @dataclass(frozen=True)
@@ -87,9 +96,7 @@ def export_scene(
     Raises:
         SceneError: the suffix is another, or the arrays do not fit.
     """
-    path = Path(path)
-    if path.suffix not in SUFFIXES:
-        raise SceneError(f"{path}: a stage needs one of the suffixes {', '.join(SUFFIXES)}")
+    path = stage_path(path)
     time = np.asarray(time, dtype=float)
     for rod in rods:
         if rod.ndim != 3 or len(rod) != len(time):
@@ -120,15 +127,7 @@ def export_scene(
     if arms is not None:
         told |= {"arms": arms.facts, "moments": moments}
     prim.SetCustomDataByKey("wrod", told)
-    with tempfile.TemporaryDirectory() as folder:
-        draft = Path(folder) / f"scene{path.suffix}"
-        if not stage.GetRootLayer().Export(str(draft)):
-            raise SceneError(f"{path}: the stage could not be written")
-        data = draft.read_bytes()
-    return Scene(write_atomically(path, lambda file: file.write(data), "wb"), missing, arms)
-
-
-_ROOT = "/World/Deployment_000"
+    return Scene(write_stage(stage, path), missing, arms)
 
 
 def _moments(transfers: list[Transfer], arms: ArmFilm) -> dict[str, float]:
@@ -169,6 +168,27 @@ def _add_close(stage, drawn: np.ndarray, across, shown, radii, moments: dict) ->
     add_view(stage, "close", patterns, [*across, 1.1], later=later)
 
 
+def knot_corners(rods: list[np.ndarray], radii: list[float]) -> np.ndarray | None:
+    """(2, 3) corners of a box about what touches itself or another rod [m]; None if nothing does.
+
+    Args:
+        rods: (node, 3) of each [m].
+        radii: [m].
+    """
+    radius = np.concatenate([np.full(len(rod), r) for rod, r in zip(rods, radii, strict=True)])
+    which = np.concatenate([np.full(len(rod), k) for k, rod in enumerate(rods)])
+    along = np.concatenate([arc_length(rod) for rod in rods])
+    nodes = np.concatenate(rods)
+    i, j = cKDTree(nodes).query_pairs(2.0 * _TOUCH * max(radii), output_type="ndarray").T
+    thick = radius[i] + radius[j]
+    near = np.linalg.norm(nodes[i] - nodes[j], axis=1) < _TOUCH * thick
+    other = (which[i] != which[j]) | (np.abs(along[i] - along[j]) > _APART * radius[i])
+    found = nodes[np.concatenate([i[near & other], j[near & other]])]
+    if len(found) == 0:
+        return None
+    return np.stack([found.min(0) - _ROOM, found.max(0) + _ROOM])
+
+
 def _ground(drawn, rods, radii, hands, closed) -> np.ndarray:
     """(n, 3) points of the table that are drawn on, lain on or worked at [m]."""
     found = list(drawn)
@@ -190,7 +210,7 @@ def _ground(drawn, rods, radii, hands, closed) -> np.ndarray:
 
 def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fixtures):
     """Add everything; returns the horizontal direction (2,) from which both arms are seen best."""
-    from pxr import Sdf, UsdGeom
+    from pxr import UsdGeom
 
     materials = Materials(stage)
     codes = np.arange(len(clock), dtype=float)
@@ -213,12 +233,9 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
         for number, (base, positions) in enumerate(zip(bases, arms.positions, strict=True)):
             name = f"{_ROOT}/robot_{number}"
             add_arm(stage, name, arms.robot, base, positions, codes, materials)
-            stands = base @ arms.robot.mount
-            floor = min(floor, float(stands[2, 3]) - BASE_HEIGHT)
-            poses = arms.robot.link_poses(positions[:: max(1, len(positions) // 20)])
-            links = [p[:, :3, 3] @ base[:3, :3].T + base[:3, 3] for p in poses.values()]
-            feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
-            seen += [*links, stands[:3, 3] + feet]
+            links, feet = reach_of(arms.robot, base, positions)
+            seen += [*links, feet]
+            floor = min(floor, float(feet[0, 2]))
             # How high a hand begins to lay would leave little of the picture to the table.
             work += [
                 np.clip(part, [-np.inf, -np.inf, 0.0], [np.inf, np.inf, _HIGH]) for part in links
@@ -234,9 +251,7 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
     add_cameras(stage, points, across, corners)
     add_view(stage, "side", np.vstack(work), [*across, 0.55])
     for name, values in (("time", clock), ("simulatedTime", simulated)):
-        attribute = prim.CreateAttribute(f"wrod:{name}", Sdf.ValueTypeNames.Double, custom=True)
-        for code, value in zip(codes, values, strict=True):
-            attribute.Set(float(value), float(code))
+        set_in_time(prim, f"wrod:{name}", values, codes)
     return across
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.robot.joint_path import JointPath
-from wrod.scene.primitives import Materials, add_curve, add_shape
+from wrod.scene.primitives import Materials, add_curve, add_shape, set_pose
 
 TABLE_THICKNESS = 0.03  # [m]
 BASE_HEIGHT = 0.9  # [m] of the robot's base above the floor, on its pedestal
@@ -90,8 +90,6 @@ def table_under(contact: np.ndarray, path: JointPath | None, rod_radius: float) 
 def add_table(stage, path: str, table: TableTop, materials: Materials) -> None:
     """The table's top and legs."""
     from pxr import UsdGeom
-
-    from wrod.scene.primitives import set_pose
 
     set_pose(UsdGeom.Xform.Define(stage, path).GetPrim(), table.pose)
     for name, centre, size, color in table.boxes():
