@@ -22,15 +22,18 @@ def read_markup(
     path: str | os.PathLike[str],
     what: str,
     *,
+    content: bytes | None = None,
     error: type[WrodError] = DataError,
     deepest: int = 24,
     entities: bool = False,
 ) -> ElementTree.Element:
-    """Root of an XML file.
+    """Root of an XML file. Names keep their prefixes, which need not be declared: robots' files are
+    written without.
 
     Args:
         path: the file.
         what: what it should be, for messages: "a URDF file".
+        content: what the file expands to; default: what it holds.
         error: type of the refusal.
         deepest: most elements within each other.
         entities: let short entities without others in them be declared.
@@ -39,21 +42,8 @@ def read_markup(
         WrodError: of type `error`: it cannot be read, is no XML, or is larger, deeper or has more
             elements than any file of its kind, or declares entities; names the line.
     """
-    content = read_bytes(path, what, error=error, limit=MAX_MARKUP)
-    return parse_markup(content, path, what, error=error, deepest=deepest, entities=entities)
-
-
-def parse_markup(
-    content: bytes,
-    path: str | os.PathLike[str],
-    what: str,
-    *,
-    error: type[WrodError] = DataError,
-    deepest: int = 24,
-    entities: bool = False,
-) -> ElementTree.Element:
-    """As `read_markup`, of what a file holds or expands to. Names keep their prefixes, which need
-    not be declared: robots' files are written without."""
+    if content is None:
+        content = read_bytes(path, what, error=error, limit=MAX_MARKUP)
     if not content.strip():
         raise error(f"{path}: is empty; give {what}")
     parser, builder = expat.ParserCreate(), ElementTree.TreeBuilder()

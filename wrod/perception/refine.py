@@ -118,6 +118,8 @@ def centre_offsets(
     Returns:
         offset (n,) along the normal [px], weight (n,), half-width (n,) [px].
     """
+    from scipy.ndimage import median_filter
+
     left, right = distances
     half = (left + right) / 2
     trusted = alone & np.isfinite(half) & (half > 0.25)
@@ -129,7 +131,8 @@ def centre_offsets(
     if not trusted.any():
         return np.zeros(len(alone)), np.zeros(len(alone)), np.full(len(alone), typical)
     at = np.flatnonzero(trusted)
-    width = np.interp(np.arange(len(alone)), at, _running_median(half[at]))
+    running = median_filter(half[at], min(25, len(at)), mode="nearest")
+    width = np.interp(np.arange(len(alone)), at, running)
     near_left, near_right = (np.abs(d - width) < 0.35 * width for d in (left, right))
     offset, weight = np.zeros(len(alone)), np.zeros(len(alone))
     both = trusted | (near_left & near_right)
@@ -139,9 +142,3 @@ def centre_offsets(
     only = near_right & ~both & (left > width)
     offset[only], weight[only] = (width - right)[only], ONE_SIDED
     return offset, weight, width
-
-
-def _running_median(values: np.ndarray) -> np.ndarray:
-    from scipy.ndimage import median_filter
-
-    return median_filter(values, min(25, len(values)), mode="nearest")

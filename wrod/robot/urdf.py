@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import RobotError
-from wrod.files.markup import parse_markup, read_markup
+from wrod.files.markup import read_markup
 from wrod.files.reading import shown
 from wrod.robot.expansion import expanded, folders_of
 from wrod.robot.urdf_checks import check_urdf
@@ -224,7 +224,7 @@ def read_urdf(path: str | os.PathLike[str]) -> UrdfFile:
     what = "a URDF file"
     root = None if path.suffix == ".xacro" else read_markup(path, what, error=RobotError)
     if root is None or any(element.tag.startswith("xacro:") for element in root):
-        root = parse_markup(expanded(path), path, what, error=RobotError)
+        root = read_markup(path, what, content=expanded(path), error=RobotError)
     for element in root.iter():  # other programs' own, whose prefixes are seldom declared
         for name in [name for name in element.attrib if ":" in name or name == "xmlns"]:
             del element.attrib[name]

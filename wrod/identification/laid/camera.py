@@ -30,6 +30,8 @@ _FULL = 30
 _PLACE, _HEIGHT, _LOG_HEIGHT, _WORTH = 0.1, 0.7, 0.3, 1e-3
 # Placing and finding are repeated until the camera moves less than so far, in its priors' units.
 _ROUNDS, _STILL = 8, 0.02
+# Where the search begins, about the last camera.
+_SIMPLEX = np.vstack([np.zeros(3), np.diag([0.08, 0.08, -0.3])])
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ def find_camera(photographs: Sequence[LaidPhotograph], rods: Sequence[LaidRod]) 
             _vector(camera),
             method="Nelder-Mead",
             options={"xatol": 1e-3, "fatol": 1e-6, "maxfev": 200,
-                     "initial_simplex": _simplex(camera)},
+                     "initial_simplex": _vector(camera) + _SIMPLEX},
         ).x  # fmt: skip
         moved = (found - _vector(camera)) / [_PLACE, _PLACE, _LOG_HEIGHT]
         camera = OverheadCamera(float(found[0]), float(found[1]), float(np.exp(found[2])))
@@ -105,11 +107,6 @@ def find_camera(photographs: Sequence[LaidPhotograph], rods: Sequence[LaidRod]) 
 
 def _vector(camera: OverheadCamera) -> np.ndarray:
     return np.array([camera.right, camera.up, np.log(camera.height)])
-
-
-def _simplex(camera: OverheadCamera) -> np.ndarray:
-    first = _vector(camera)
-    return np.vstack([first, first + np.diag([0.08, 0.08, -0.3])])
 
 
 @dataclass(frozen=True)

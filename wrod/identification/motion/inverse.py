@@ -1,13 +1,10 @@
-"""Inverse dynamics: the forces at the markers that a model lacks to follow recorded motion.
+"""Inverse dynamics: the forces at the markers that a model lacks to follow recorded motion, as
+docs/identification-motion.md tells.
 
-Every sampled frame is a statics problem by d'Alembert's principle: the rod with its markers where
-they were seen, under its weight, drag and minus its mass times the acceleration seen. Nodes between
-markers find their equilibrium; the reactions at the markers are what the model lacks there. Nothing
-is integrated in time, so an error does not travel along the recording, and no derivative of fourth
-order along the rod is taken of noisy points.
-
-The lengths between markers are not known nearly as well as a rod resists stretching, so the tension
-of every span is left free: what is looked at are the combinations of reactions that do not feel it.
+Every sampled frame is a statics problem by d'Alembert's principle, in which nodes between markers
+find their equilibrium. What is looked at are combinations of reactions that do not feel the tension
+of any span, for the lengths between markers are not known nearly as well as a rod resists
+stretching.
 """
 
 from dataclasses import dataclass, replace

@@ -105,16 +105,15 @@ def correlations_of(rod, windows, model, values, left) -> tuple[tuple[str, ...],
 
 
 def confounded_pairs(names, correlation, chosen) -> tuple[dict, ...]:
-    pairs = []
-    for i in range(chosen):
-        for j in range(i + 1, len(names)):
-            if correlation[i, j] >= CONFOUNDED:
-                what = "" if j < chosen else f"; {names[j]} was left out"
-                pairs.append(
-                    {
-                        "effects": [names[i], names[j]],
-                        "correlation": float(correlation[i, j]),
-                        "evidence": f"correlation of the estimates {correlation[i, j]:.2f}{what}",
-                    }
-                )
+    pairs = [
+        {
+            "effects": [names[i], names[j]],
+            "correlation": float(correlation[i, j]),
+            "evidence": f"correlation of the estimates {correlation[i, j]:.2f}"
+            + ("" if j < chosen else f"; {names[j]} was left out"),
+        }
+        for i in range(chosen)
+        for j in range(i + 1, len(names))
+        if correlation[i, j] >= CONFOUNDED
+    ]
     return tuple(sorted(pairs, key=lambda p: -p["correlation"]))

@@ -1,13 +1,9 @@
 """Ways for the force that a motion's model lacks to come about, and how well each does.
 
 A print is a profile along the rod, or a few numbers at its ends, that stays the same for all time;
-what it multiplies is measured: a direction of the laboratory or of the material, the acceleration,
-the velocity, the rate of bending, the bend itself. The reactions at the markers are linear in it.
-The base model's drag may move along with each print. Its stiffness stays: were mass (or a force
-against the weight) and stiffness free at once, a rod without either would lack nothing.
-
-Prints are ranked by the share of the missing force that they take away in blocks of recordings that
-were left out.
+what it multiplies is measured, and the reactions at the markers are linear in it. The base model's
+drag may move along with each. Its stiffness stays: were mass (or a force against the weight) and
+stiffness free at once, a rod without either would lack nothing.
 """
 
 from __future__ import annotations

@@ -1,18 +1,9 @@
 """Which effects a rod's motion asks for: selection on recordings that were not fitted.
 
-The base model is a straight, uniform rod with drag in air and inside. In each round the candidates
-are ranked by the misfit that they promise to take away in the problem linearised around the present
-model. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them with the least
-error on whole validation recordings are fitted, and so is the most promising one: laws of bending
-come to what they promise in many steps only. The best joins if it lowers that error by
-`LEAST_GAIN` or more against the present model that was fitted on, too; of some that differ by less,
-the one with the fewest parameters. What mesh and time step lack
-in the present model's predictions is added to all of them, and found anew for an effect that is to
-join: one that makes up for edges and steps gains nothing. The rounds end when none joins, when no
-more is left than noise leaves, or after `MOST_EFFECTS`. Then every
-effect without which the refitted model's validation error rises by less than `LEAST_GAIN` is taken
-out again; only those are tried that the linearised problem hardly needs. What is left is fitted to
-whole recordings, those of the validation included.
+Its rounds are told in docs/identification-motion.md ("Choice"). Beside the `KEPT_ON` candidates
+with the least error the most promising one is fitted: laws of bending come to what they promise in
+many steps only. Others have to gain against the present model that was fitted on, too. When the
+rounds end, effects are tried without that the linearised problem hardly needs.
 """
 
 from dataclasses import dataclass, replace

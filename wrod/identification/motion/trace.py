@@ -1,8 +1,5 @@
-"""What the residual of a motion looks like as mechanics, before any effect is fitted.
-
-`inverse_motion` gives, frame by frame, the reactions that the base model lacks at the markers. Two
-things are made of them: the missing force, a field along the rod in every frame, and prints
-(`motion_prints`), ways for it to come about that stay the same for all time.
+"""What the residual of a motion looks like as mechanics, before any effect is fitted: the missing
+force, a field along the rod in every frame, and prints, ways for it to come about.
 """
 
 from collections.abc import Callable
