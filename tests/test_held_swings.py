@@ -8,10 +8,9 @@ import pytest
 import wrod
 from wrod import load_rod
 from wrod.errors import DataError, WrodWarning
-from wrod.identification.held.equilibria import CableModel, marked, markers, mesh
+from wrod.identification.held.equilibria import CableModel, held_batch, marked, markers, mesh
 from wrod.identification.held.fit import HeldFit
 from wrod.identification.held.measurements import HeldCable, HeldSwing, load_swing
-from wrod.identification.held.mesh import held_batch
 from wrod.identification.held.swings import SwingModel, fit_swings, predict_swings
 from wrod.rods.law import Dahl, Linear
 from wrod.solvers.statics import EquilibriumSolver

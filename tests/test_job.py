@@ -232,7 +232,7 @@ def test_hand_leaves_the_rod_aside_where_it_cannot_go_back(job, monkeypatch):
 def test_scene_shows_every_phase(line, job, tmp_path):
     from pxr import UsdGeom
 
-    from wrod.scene.rod_shapes import whole_rod
+    from wrod.scene.phases import whole_rod
     from wrod.scene.validate import open_stage, validation_errors
 
     path = wrod.export_usd(

@@ -4,8 +4,7 @@ import numpy as np
 
 import wrod
 from wrod.deployment.left_alone import Fall
-from wrod.scene.phases import falling, film, let_go
-from wrod.scene.rod_shapes import whole_rod
+from wrod.scene.phases import falling, film, let_go, whole_rod
 
 TIME = np.array([0.0, 0.05, 0.1, 0.6, 0.8])
 

@@ -11,8 +11,7 @@ from wrod.errors import DataError, WrodWarning
 from wrod.identification.effect import Model, effects
 from wrod.identification.motion.checks import inertia_share
 from wrod.identification.motion.fit import MotionLaboratory
-from wrod.identification.motion.loading import load_motion, motion_from_arrays
-from wrod.identification.motion.repair import sorted_grips
+from wrod.identification.motion.loading import load_motion, motion_from_arrays, sorted_grips
 from wrod.identification.motion.report import identify_motion
 from wrod.identification.motion.setup import START_L_GB
 from wrod.rods.batch import RodBatch

@@ -7,7 +7,7 @@ import pytest
 
 import wrod
 from wrod.errors import SceneError
-from wrod.scene.rod_shapes import whole_rod
+from wrod.scene.phases import whole_rod
 from wrod.scene.validate import open_stage, validation_errors
 
 pytest.importorskip("pxr")

@@ -8,6 +8,8 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import PerceptionError
+from wrod.files import write_figure
+from wrod.files.pictures import AFTER, BEFORE, INK, MUTED, new_figure
 from wrod.patterns.curve import arc_length
 
 
@@ -34,20 +36,16 @@ class Measurement:
 
     def draw(self, path: str | os.PathLike[str]) -> Path:
         """Write a PNG: pattern, rod and their distances from above, and along the rod."""
-        from matplotlib.figure import Figure
-
-        from wrod.files import write_figure
-
-        figure = Figure(figsize=(11, 5), facecolor="white", layout="constrained")
+        figure = new_figure(11, 5)
         above, along = figure.subplots(1, 2, width_ratios=(1.5, 1))
-        above.plot(*(100 * self.prescribed.T), color="#0b5fa5", lw=2, label="pattern")
-        above.plot(*(100 * self.deployed.T), color="#d9822b", lw=2, label="deployed")
+        above.plot(*(100 * self.prescribed.T), color=AFTER, lw=2, label="pattern")
+        above.plot(*(100 * self.deployed.T), color=BEFORE, lw=2, label="deployed")
         for a, b in zip(self.deployed, self.prescribed, strict=True):
-            above.plot(*(100 * np.array([a, b]).T), color="#59616b", lw=0.7)
+            above.plot(*(100 * np.array([a, b]).T), color=MUTED, lw=0.7)
         above.set(xlabel="x [cm]", ylabel="y [cm]", aspect="equal", title="From above")
         above.legend(frameon=False)
         share = np.linspace(0, 100, len(self.errors))
-        along.plot(share, 1e3 * self.errors, color="#22262b", lw=1.5)
+        along.plot(share, 1e3 * self.errors, color=INK, lw=1.5)
         along.axhline(1e3 * self.error_mean, color="#d1495b", lw=1)
         along.set(
             xlabel="along the rod [%]",

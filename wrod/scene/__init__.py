@@ -1,6 +1,6 @@
 """The scene for review: a USD stage of a deployment, and pictures of it without a viewer.
 
-rod_shapes      centreline of the whole rod at every node of a trajectory
+phases          rod and arm over time codes
 stage           units, time, lights, cameras
 primitives      shapes, curves and materials on a stage
 arm, workplace  the robot; table, floor, pattern, rod

@@ -13,9 +13,8 @@ from wrod import arguments
 from wrod.errors import SceneError, needed_extras
 from wrod.robot.grip import Grip, TravelledPath
 from wrod.scene.arm import add_arm, add_visuals, reach_of
-from wrod.scene.phases import covered, falling, film, rods_of
+from wrod.scene.phases import POINTS, covered, falling, film, rods_of
 from wrod.scene.primitives import Materials, set_pose
-from wrod.scene.rod_shapes import POINTS
 from wrod.scene.stage import (
     add_cameras,
     add_lights,

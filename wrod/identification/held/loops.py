@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 from wrod.errors import DataError
+from wrod.identification.held.equilibria import between_ends, cable_model, held_batch
 from wrod.identification.held.measurements import HangingLoops
-from wrod.identification.held.mesh import between_ends, cable_model, held_batch
 from wrod.rods.law import Linear, Softening
 from wrod.rods.state import node_positions
 from wrod.solvers.statics import EquilibriumSolver

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from wrod.identification.held.equilibria import between_ends, cable_model, held_batch
 from wrod.identification.held.measurements import HeldPoses
-from wrod.identification.held.mesh import between_ends, cable_model, held_batch
 from wrod.rods.rotation import angle_about, transport
 from wrod.rods.state import node_positions
 from wrod.solvers.statics import EquilibriumSolver

@@ -15,10 +15,9 @@ from scipy.optimize import least_squares
 
 from wrod.errors import DataError
 from wrod.identification.found_rod import FoundRod
-from wrod.identification.held.equilibria import CableModel, batch_of, marked, mesh
+from wrod.identification.held.equilibria import CableModel, batch_of, cable_model, marked, mesh
 from wrod.identification.held.fit import HeldFit
 from wrod.identification.held.measurements import HeldCable, HeldSwing
-from wrod.identification.held.mesh import cable_model
 from wrod.rods.law import BendingLaw, Dahl, Linear
 from wrod.rods.state import node_positions
 from wrod.solvers.dynamics import Dynamics
