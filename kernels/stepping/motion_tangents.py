@@ -234,7 +234,6 @@ def held_tangents(
     tangent: wp.array2d(dtype=wp.vec3d),
     grip_tangent: wp.array3d(dtype=wp.vec3d),
     dof: wp.array2d(dtype=wp.float64),
-    free: wp.array2d(dtype=wp.int32),
     pace: Pace,
     first_frame: int,
     frame_rate: wp.float64,
@@ -252,13 +251,12 @@ def held_tangents(
     for c in range(3):
         step_out[r, j, 4 * first + c] = near[c]
         step_out[r, j, 4 * first + 4 + c] = far[c]
-    if free[r, 4 * first + 3] == 0:
-        t = tangent[r, first]
-        g = grip_tangent[r, f, k]
-        turned = (far - near) / wp.length(edge(dof, r, first))
-        # Carrying the director from the grip to a tangent that turns leaves it half this spin.
-        spin = wp.dot(wp.cross(g, t), turned) / (ONE + wp.dot(g, t))
-        step_out[r, j, 4 * first + 3] = roll_rate[j, k] - spin
+    t = tangent[r, first]
+    g = grip_tangent[r, f, k]
+    turned = (far - near) / wp.length(edge(dof, r, first))
+    # Carrying the director from the grip to a tangent that turns leaves it half this spin.
+    spin = wp.dot(wp.cross(g, t), turned) / (ONE + wp.dot(g, t))
+    step_out[r, j, 4 * first + 3] = roll_rate[j, k] - spin
 
 
 @wp.kernel

@@ -14,7 +14,6 @@ def hold_ends(
     held: wp.array3d(dtype=wp.vec3d),
     grip_tangent: wp.array3d(dtype=wp.vec3d),
     grip_director: wp.array3d(dtype=wp.vec3d),
-    free: wp.array2d(dtype=wp.int32),
     first: int,
     rate: wp.float64,
     # State in:
@@ -39,12 +38,11 @@ def hold_ends(
     for c in range(3):
         dof[r, 4 * i + c] = q[c]
         dof[r, 4 * i + 4 + c] = p[c]
-    if free[r, 4 * i + 3] == 0:
-        t = wp.normalize(p - q)
-        aim = parallel_transport(grip_director[r, f, k], grip_tangent[r, f, k], t)
-        dof[r, 4 * i + 3] = angle_towards(
-            aim, t, dof[r, 4 * i + 3], tangent_before[r, i], director_before[r, i]
-        )
+    t = wp.normalize(p - q)
+    aim = parallel_transport(grip_director[r, f, k], grip_tangent[r, f, k], t)
+    dof[r, 4 * i + 3] = angle_towards(
+        aim, t, dof[r, 4 * i + 3], tangent_before[r, i], director_before[r, i]
+    )
 
 
 @wp.func

@@ -118,7 +118,7 @@ class MotionRun:
         batch.launch(
             kernels.hold_ends,
             (batch.rod_count, 2),
-            [self.held, self.grip_tangent, self.grip_director, batch.free]
+            [self.held, self.grip_tangent, self.grip_director]
             + [self.substeps, self.step_rate, running, time, step]
             + [start.tangent, start.director],
             [batch.state.dof],

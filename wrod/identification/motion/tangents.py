@@ -164,7 +164,7 @@ class MotionTangents:
             (self.count, 2),
             [self.moves, self.held, self.roll]
             + [batch.state.tangent, run.grip_tangent, batch.state.dof]
-            + [batch.free, pace, run.substeps, run.step_rate],
+            + [pace, run.substeps, run.step_rate],
             [out],
         )
 
