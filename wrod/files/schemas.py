@@ -87,17 +87,14 @@ class MarkerLayout(_Open, frozen=True):
 
 
 Pixels = Annotated[float, Meta(ge=-1e6, le=1e6, description="[px]")]
+_Row = tuple[Pixels, Pixels, Pixels]
 Coefficient = Annotated[float, Meta(ge=-1e3, le=1e3)]
 
 
 class CameraIntrinsics(_Open, frozen=True):
     """A camera's matrix [px] and OpenCV's distortion coefficients (`--camera`)."""
 
-    camera_matrix: tuple[
-        tuple[Pixels, Pixels, Pixels],
-        tuple[Pixels, Pixels, Pixels],
-        tuple[Pixels, Pixels, Pixels],
-    ]
+    camera_matrix: tuple[_Row, _Row, _Row]
     distortion: Annotated[list[Coefficient], Meta(max_length=14)] = []
 
 
@@ -149,15 +146,15 @@ class KnotPlan(_File, frozen=True):
     note: Note = ""
 
 
+_Curvature = Annotated[float, Meta(ge=-1e3, le=1e3, description="[1/L_gb]")]
+
+
 class RodInputs(_File, frozen=True):
     """The one rod that a dataset's or a controller's grasps are of, dimensionless."""
 
     length: Annotated[float, Meta(gt=0.0, le=1e6, description="[L_gb]")]
     stretch_ratio: Annotated[float, Meta(gt=0.0, le=1e12)]
-    natural_curvature: tuple[
-        Annotated[float, Meta(ge=-1e3, le=1e3, description="[1/L_gb]")],
-        Annotated[float, Meta(ge=-1e3, le=1e3, description="[1/L_gb]")],
-    ] = (0.0, 0.0)
+    natural_curvature: tuple[_Curvature, _Curvature] = (0.0, 0.0)
     poisson: Annotated[float, Meta(gt=-1.0, le=0.5)] = 0.5
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import find_objects, label
 from scipy.optimize import least_squares
 
 from wrod.errors import RodError, WrodWarning
@@ -166,8 +167,6 @@ def _nearest_softening(c: np.ndarray, p: np.ndarray) -> tuple[float, BendingLaw]
 
 def _lumps(s: np.ndarray, mass: np.ndarray, length: float) -> tuple[tuple[float, float], ...]:
     """Masses spread over neighbouring nodes, each run of nodes as one at its centre."""
-    heavy = mass > 0.0
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], heavy, [False]])))
-    runs = [slice(a, b) for a, b in ends.reshape(-1, 2)]
-    lumps = [(float(mass[r] @ s[r] / mass[r].sum()), float(mass[r].sum())) for r in runs]
+    runs = find_objects(label(mass > 0.0)[0])
+    lumps = [(float(mass[r] @ s[r] / mass[r].sum()), float(mass[r].sum())) for (r,) in runs]
     return tuple((min(max(at, 0.0), length), m) for at, m in lumps)

@@ -9,6 +9,7 @@ from wrod.errors import SceneError
 from wrod.patterns.curve import arc_length
 from wrod.robot.mesh import read_mesh
 from wrod.robot.urdf import LinkShape
+from wrod.scene.phases import shape_at
 from wrod.scene.workplace import BASE_HEIGHT, COLUMN
 
 _LINE = 3.5  # [px] of the rod's line
@@ -38,17 +39,11 @@ def add_segments(server, name: str, points: np.ndarray, color, width: float):
     )
 
 
-def _rod_at(shapes: np.ndarray, node: float) -> np.ndarray:
-    low = min(int(node), len(shapes) - 2)
-    share = node - low
-    return (1 - share) * shapes[low] + share * shapes[low + 1]
-
-
 def _colours(errors: np.ndarray | None, node: float, count: int) -> np.ndarray:
     """(count, 3) green where the rod lies as it should, to red at a centimetre."""
     if errors is None:
         return np.broadcast_to(np.array(_ROD, np.uint8), (count, 3))
-    share = np.clip(_rod_at(errors, node) / 0.01, 0.0, 1.0)[:, None]
+    share = np.clip(shape_at(errors, node) / 0.01, 0.0, 1.0)[:, None]
     good, bad = np.array(_ROD, float), np.array([215.0, 30.0, 30.0])
     return ((1 - share) * good + share * bad).astype(np.uint8)
 
@@ -97,7 +92,7 @@ def _unit_tube() -> tuple[np.ndarray, np.ndarray]:
 
 
 def add_rod(server, shapes, errors, node: float, radius: float) -> dict:
-    points = _rod_at(shapes, node)
+    points = shape_at(shapes, node)
     over = points + [0.0, 0.0, radius]
     tube = server.scene.add_batched_meshes_simple(
         "/rod/body",
@@ -115,7 +110,7 @@ def add_rod(server, shapes, errors, node: float, radius: float) -> dict:
 
 
 def move_rod(rod: dict, shapes, errors, node: float) -> None:
-    points = _rod_at(shapes, node).astype(np.float32)
+    points = shape_at(shapes, node).astype(np.float32)
     over = points + np.array([0.0, 0.0, rod["radius"]], np.float32)  # before the pattern's line
     rod["line"].points = np.stack([over[:-1], over[1:]], axis=1)
     for name, value in _tube(points, rod["radius"]).items():

@@ -61,9 +61,14 @@ class Onward:
 
     def at(self, laid: float) -> np.ndarray:
         """(M, 3) rod at a laid length [m]."""
-        node = float(np.interp(laid, self.laid, np.arange(len(self.laid))))
-        low = min(int(node), len(self.laid) - 2)
-        return (low + 1 - node) * self.shapes[low] + (node - low) * self.shapes[low + 1]
+        return shape_at(self.shapes, float(np.interp(laid, self.laid, np.arange(len(self.laid)))))
+
+
+def shape_at(shapes: np.ndarray, node: float) -> np.ndarray:
+    """Between two of shapes (n, ...), at a node that is no whole number."""
+    low = min(int(node), len(shapes) - 2)
+    share = node - low
+    return (1 - share) * shapes[low] + share * shapes[low + 1]
 
 
 def rods_of(trajectory, joint_path, pattern, points: int) -> tuple[np.ndarray, Onward | None]:
