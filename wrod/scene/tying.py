@@ -25,13 +25,7 @@ from wrod.scene.stage import (
     stage_path,
     write_stage,
 )
-from wrod.scene.workplace import (
-    ROD_COLORS,
-    add_floor,
-    add_pattern,
-    add_table,
-    table_under,
-)
+from wrod.scene.workplace import ROD_COLORS, add_floor, add_pattern, add_table, table_under
 from wrod.solvers.solids import Cylinder
 
 _ROOT = "/World/Deployment_000"
