@@ -26,7 +26,7 @@ from wrod.commands.running import (
 )
 from wrod.errors import DataError, RodError
 from wrod.files import write_atomically
-from wrod.files.locking import locked
+from wrod.files.writing import locked
 
 
 def ends(error, *words, write=None):
@@ -157,7 +157,7 @@ def test_nothing_is_left_where_nothing_was_finished(tmp_path):
 
 def test_a_second_process_is_told_so(tmp_path):
     code = (
-        "import sys; from wrod.files.locking import locked\n"
+        "import sys; from wrod.files.writing import locked\n"
         "with locked(sys.argv[1]): print('held', flush=True); sys.stdin.read()"
     )
     call = [sys.executable, "-c", code, str(tmp_path / "out")]
@@ -450,7 +450,7 @@ def test_what_fails_before_it_is_written_leaves_nothing(tmp_path, monkeypatch):
 def test_a_file_system_without_locks_takes_outputs(tmp_path, monkeypatch):
     import fcntl
 
-    from wrod.files.locking import locked
+    from wrod.files.writing import locked
 
     def none(*_):
         raise OSError(errno.ENOLCK, "No locks available")

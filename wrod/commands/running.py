@@ -293,8 +293,7 @@ def holding_output(command: click.Command) -> click.Command:
 
     @functools.wraps(run)
     def guarded(*args, **kwargs):
-        from wrod.files.locking import locked
-        from wrod.files.writing import protect
+        from wrod.files.writing import locked, protect
 
         protect(_read_files(command, kwargs))
         places = {
