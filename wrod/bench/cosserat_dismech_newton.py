@@ -9,9 +9,10 @@ from importlib.metadata import version
 import newton
 import numpy as np
 import warp as wp
-from cosseratbench import Capability, Trajectory
+from cosseratbench import Trajectory
 from cosseratbench.scenario import Cylinder, End, EndCondition, Rod, Scenario
-from cosseratbench.solver import Diverged
+
+from wrod.bench.cosserat_solver import Adapter, ghosts_of, with_ghosts
 
 
 @wp.struct
@@ -28,32 +29,15 @@ from dismech_newton import DiSMechSolver  # noqa: E402
 _STEP, _QUIET_STEP, _ITERATIONS, _DAMPING = 2e-3, 5e-3, 10, 0.2
 
 
-class DismechNewtonSolver:
+class DismechNewtonSolver(Adapter):
     """`DiSMechSolver`, in float32; with Gauss-Newton steps of the midpoint rule where motion is
     asked for. A clamped end has the segment beyond it that the clamp holds, and bends over half a
-    segment.
-
-    Args:
-        time_step_scale: factor of the time step.
-    """
+    segment."""
 
     name = "dismech-newton"
     backend_version = version("dismech-newton")
-    capabilities = frozenset(
-        {
-            Capability.STRETCH,
-            Capability.ROD_CONTACT,
-            Capability.ROD_FRICTION,
-            Capability.CYLINDER_CONTACT,
-            Capability.PLANE_CONTACT,
-        }
-    )
-
-    def __init__(self, time_step_scale: float = 1.0):
-        self.time_step_scale = time_step_scale
 
     def settings(self, scenario: Scenario, *, n_elements: int, n_frames: int) -> dict:
-        """The numerical choices of a run."""
         interval = scenario.duration / (n_frames - 1)
         quiet = scenario.quasi_static
         largest = (_QUIET_STEP if quiet else _STEP) * self.time_step_scale
@@ -67,37 +51,28 @@ class DismechNewtonSolver:
         }
 
     def run(self, scenario: Scenario, *, n_elements: int, n_frames: int) -> Trajectory:
-        """Raises `cosseratbench.solver.Diverged`."""
         motions = [rod.motion(end) for rod in scenario.rods for end in End]
         if any(m and (m.slides_along or np.any(m.rotation)) for m in motions):
             raise NotImplementedError("ends that do not turn or slide")
         options = self.settings(scenario, n_elements=n_elements, n_frames=n_frames)
-        scene = _Scene(scenario, n_elements, options)
-        times = np.linspace(0.0, scenario.duration, n_frames)
-        found = [scene.read()]
-        for time in times[1:]:
-            scene.advance(options["steps_a_frame"], float(times[1]) / options["steps_a_frame"])
-            found.append(scene.read())
-            if not all(np.isfinite(part).all() for part in found[-1][0]):
-                raise Diverged("a node is nowhere", time=float(time))
-        positions, directors = (
-            tuple(np.array(rod) for rod in zip(*part, strict=True))
-            for part in zip(*found, strict=True)
-        )
-        return Trajectory(times, positions, directors)
+        steps = options["steps_a_frame"]
+        dt = scenario.duration / (n_frames - 1) / steps
+        return self.play(_Scene(scenario, n_elements, options, dt), scenario, n_frames, steps)
 
 
 class _Scene:
     """The model of the rods and its states."""
 
-    def __init__(self, scenario: Scenario, count: int, options: dict):
+    piece = "node"
+
+    def __init__(self, scenario: Scenario, count: int, options: dict, dt: float):
         self._builder = builder = newton.ModelBuilder(gravity=(0.0, 0.0, -1.0))
         DiSMechSolver.register_custom_attributes(builder)
         self._parts, self._given, places, rest = [], [], [], []
         self._load: list[tuple[int, tuple]] = []
         self._clamped: list[int] = []
         self._driven: list[tuple] = []  # nodes, where they begin, and how they move
-        self._time = 0.0
+        self._time, self._dt = 0.0, dt
         for rod in scenario.rods:
             place, length = self._add(scenario, rod, count, options["bend_damping_time"])
             places.append(place)
@@ -129,14 +104,7 @@ class _Scene:
     def _add(self, scenario: Scenario, rod: Rod, count: int, damping: float):
         """Add a rod; (node, 3) where it begins, and (edge,) lengths."""
         builder, material, step = self._builder, rod.material, rod.length / count
-        place, director = rod.nodes(count), rod.directors(count)
-        ghosts = [rod.condition(end) is EndCondition.CLAMPED for end in End]
-        for at, there in zip((0, -1), ghosts, strict=True):
-            if there:
-                way = place[at] - place[1 if at == 0 else -2]
-                beyond, where = place[at] + step * way / np.linalg.norm(way), at % (len(place) + 1)
-                place = np.insert(place, where, beyond, axis=0)
-                director = np.insert(director, at % len(director), director[at], axis=0)
+        ghosts, (place, director) = ghosts_of(rod), with_ghosts(rod, count)
         edges = len(place) - 1
         way = (place[1] - place[0]) / np.linalg.norm(place[1] - place[0])
         straight = place[0] + np.outer(np.arange(edges + 1) * step, way)
@@ -182,15 +150,15 @@ class _Scene:
         director = state.dismech.edge_d1_q.numpy().astype(float)
         return along, _turned(along, director, state.dismech.edge_q.numpy() + self._turn)
 
-    def advance(self, count: int, dt: float) -> None:
+    def advance(self, count: int) -> None:
         for _ in range(count):
-            self._time += dt
+            self._time += self._dt
             if self._driven:
                 q = self._states[0].particle_q.numpy()
                 for nodes, start, motion in self._driven:
                     q[nodes] = start + motion.pose(self._time)[0]
                 self._states[0].particle_q.assign(q)
-            self._solver.step(*self._states, None, None, dt)
+            self._solver.step(*self._states, None, None, self._dt)
             self._states.reverse()
 
     def read(self) -> tuple[list[np.ndarray], list[np.ndarray]]:

@@ -15,15 +15,13 @@ _TOLERANCE, _QUIET_TOLERANCE = 1e-7, 1e-6
 _SINKING = 1.0 / 200.0
 
 
-class WrodSolver:
-    """Discrete elastic rods in implicit steps, contact at true thickness with Coulomb friction.
+class Adapter:
+    """A solver of discrete elastic rods that may touch.
 
     Args:
         time_step_scale: factor of the time step.
     """
 
-    name = "wrod"
-    backend_version = wrod.__version__
     capabilities = frozenset(
         {
             Capability.STRETCH,
@@ -36,6 +34,29 @@ class WrodSolver:
 
     def __init__(self, time_step_scale: float = 1.0):
         self.time_step_scale = time_step_scale
+
+    def play(self, scene, scenario: Scenario, n_frames: int, steps: int) -> Trajectory:
+        """So many steps a frame of a scene that can `advance` and `read` its rods; raises
+        `cosseratbench.solver.Diverged`."""
+        times = np.linspace(0.0, scenario.duration, n_frames)
+        found = [scene.read()]
+        for time in times[1:]:
+            scene.advance(steps)
+            found.append(scene.read())
+            if not all(np.isfinite(part).all() for part in found[-1][0]):
+                raise Diverged(f"a {scene.piece} is nowhere", time=float(time))
+        positions, directors = (
+            tuple(np.array(rod) for rod in zip(*part, strict=True))
+            for part in zip(*found, strict=True)
+        )
+        return Trajectory(times, positions, directors)
+
+
+class WrodSolver(Adapter):
+    """Implicit steps, contact at true thickness with Coulomb friction."""
+
+    name = "wrod"
+    backend_version = wrod.__version__
 
     def settings(self, scenario: Scenario, *, n_elements: int, n_frames: int) -> dict:
         """The numerical choices of a run."""
@@ -66,7 +87,7 @@ class WrodSolver:
         )
         inside = []
         for nodes, spec in zip(rods, scenario.rods, strict=True):
-            before, after = _ghosts(spec)
+            before, after = ghosts_of(spec)
             inside.append(slice(nodes.start + before, nodes.stop - after))
         times = np.linspace(0.0, scenario.duration, n_frames)
         positions, directors = [], []
@@ -83,9 +104,22 @@ class WrodSolver:
         )
 
 
-def _ghosts(spec: Rod) -> tuple[bool, bool]:
+def ghosts_of(spec: Rod) -> tuple[bool, bool]:
+    """Whether start and end are clamped, and have an edge beyond them that the clamp turns."""
     clamped = EndCondition.CLAMPED
     return spec.condition(End.START) is clamped, spec.condition(End.END) is clamped
+
+
+def with_ghosts(spec: Rod, n_elements: int) -> tuple[np.ndarray, np.ndarray]:
+    """(node, 3) nodes and (edge, 3) directors where a rod begins, its ghosts' among them."""
+    position, (before, after) = spec.nodes(n_elements), ghosts_of(spec)
+    for there, where, at, inner in ((after, n_elements + 1, -1, -2), (before, 0, 0, 1)):
+        if there:
+            way = position[at] - position[inner]
+            beyond = position[at] + spec.length / n_elements * way / np.linalg.norm(way)
+            position = np.insert(position, where, beyond, axis=0)
+    director = np.pad(spec.directors(n_elements), ((before, after), (0, 0)), mode="edge")
+    return position, director
 
 
 def _rod(scenario: Scenario, spec: Rod, n_elements: int) -> wrod.RodBatch:
@@ -103,28 +137,15 @@ def _rod(scenario: Scenario, spec: Rod, n_elements: int) -> wrod.RodBatch:
         radius=spec.radius,
         gravity=size or 9.81,
     )
-    arc = np.linspace(0.0, spec.length, n_elements + 1)
-    position, director = spec.nodes(n_elements), spec.directors(n_elements)
-    load = np.zeros_like(position)
+    arc, load = np.linspace(0.0, spec.length, n_elements + 1), np.zeros((n_elements + 1, 3))
     for force in spec.loads:
         load[0 if force.at is End.START else -1] += force.force
-    spacing = arc[1]
-    ghosts = _ghosts(spec)
-    for at, there in zip((0, -1), ghosts, strict=True):
-        if there:
-            inner = 1 if at == 0 else -2
-            way = position[at] - position[inner]
-            beyond = position[at] + spacing * way / np.linalg.norm(way)
-            where = 0 if at == 0 else len(position)
-            position = np.insert(position, where, beyond, axis=0)
-            load = np.insert(load, where, 0.0, axis=0)
-            arc = np.insert(arc, where, arc[at] + (spacing if at else -spacing))
-            director = np.insert(
-                director, where if at == 0 else len(director), director[at], axis=0
-            )
+    ghosts = ghosts_of(spec)
+    arc = np.concatenate([[-arc[1]] * ghosts[0], arc, [arc[-1] + arc[1]] * ghosts[1]])
+    position, director = with_ghosts(spec, n_elements)
     batch = wrod.RodBatch.of(
         model, arc, position[None], clamped=ghosts, director=director[None], gravity=gravity,
-        point_load=load[None],
+        point_load=np.pad(load, (ghosts, (0, 0)))[None],
     )  # fmt: skip
     ends = ((0, End.START), (-1, End.END))
     wrod.prescribe(

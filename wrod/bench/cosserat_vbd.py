@@ -6,34 +6,27 @@ import newton
 import numpy as np
 import warp as wp
 from cosseratbench import Capability, Trajectory
-from cosseratbench.scenario import End, EndCondition, Rod, Scenario
-from cosseratbench.solver import Diverged
+from cosseratbench.scenario import End, EndCondition, Scenario
 from scipy.spatial.transform import Rotation
 
-from wrod.bench.newton_held import weigh
+from wrod.bench.cosserat_solver import Adapter
+from wrod.bench.newton_held import Graphed, weigh
 
 # Largest step [s], iterations of a step; damping time of bending in the slowest period.
 _STEP, _ITERATIONS, _DAMPING = 1.0 / 600.0, 20, 0.14
 
 
-class VbdSolver:
+class VbdSolver(Adapter):
     """`newton.Rod` under `SolverVBD`, in float32: capsules of the rod's mass, joined by rod joints.
 
     The middle of a clamped segment is where the clamp is; a pinned end is a ball joint.
-
-    Args:
-        time_step_scale: factor of the time step.
     """
 
     name = "newton-vbd"
     backend_version = version("newton")
     capabilities = frozenset({Capability.STRETCH, Capability.SHEAR})
 
-    def __init__(self, time_step_scale: float = 1.0):
-        self.time_step_scale = time_step_scale
-
     def settings(self, scenario: Scenario, *, n_elements: int, n_frames: int) -> dict:
-        """The numerical choices of a run."""
         interval = scenario.duration / (n_frames - 1)
         steps = 2 * int(np.ceil(0.5 * interval / (_STEP * self.time_step_scale)))
         period = 2.0 * np.pi / scenario.slowest_frequency()
@@ -41,29 +34,22 @@ class VbdSolver:
         return {"steps_a_frame": steps, "iterations": _ITERATIONS, "bend_damping_time": damping}
 
     def run(self, scenario: Scenario, *, n_elements: int, n_frames: int) -> Trajectory:
-        """Raises `cosseratbench.solver.Diverged`."""
         if len(scenario.rods) != 1 or scenario.rods[0].motion(End.START) is not None:
             raise NotImplementedError("one rod, held still")
         options = self.settings(scenario, n_elements=n_elements, n_frames=n_frames)
-        rod, count = scenario.rods[0], options["steps_a_frame"]
-        scene = _Scene(scenario, rod, n_elements, options["bend_damping_time"])
-        times = np.linspace(0.0, scenario.duration, n_frames)
-        dt = float(times[1]) / count
-        found = [scene.read()]
-        for time in times[1:]:
-            scene.load(rod)
-            scene.advance(count, dt)
-            found.append(scene.read())
-            if not np.isfinite(found[-1][0]).all():
-                raise Diverged("a body is nowhere", time=float(time))
-        positions, directors = (np.array(part) for part in zip(*found, strict=True))
-        return Trajectory(times, (positions,), (directors,))
+        steps = options["steps_a_frame"]
+        dt = scenario.duration / (n_frames - 1) / steps
+        scene = _Scene(scenario, n_elements, options["bend_damping_time"], dt)
+        return self.play(scene, scenario, n_frames, steps)
 
 
-class _Scene:
-    """The model of one rod, its states, and the graph of a step there and back."""
+class _Scene(Graphed):
+    """The model of one rod and its states."""
 
-    def __init__(self, scenario: Scenario, rod: Rod, count: int, damping: float):
+    piece = "body"
+
+    def __init__(self, scenario: Scenario, count: int, damping: float, dt: float):
+        rod = self._rod = scenario.rods[0]
         held = rod.start is EndCondition.CLAMPED
         if rod.end is EndCondition.CLAMPED:
             raise NotImplementedError("a rod that is clamped at its end")
@@ -100,43 +86,31 @@ class _Scene:
             model.body_flags.assign(flags)
         self._solver = newton.solvers.SolverVBD(model, iterations=_ITERATIONS)
         self._states, self._control = [model.state(), model.state()], model.control()
-        self._half, self._graph, self._origin = 0.5 * edge, None, points[0] if not held else None
+        self._half, self._dt, self._origin = 0.5 * edge, dt, points[0] if not held else None
         self._clamp = rod.nodes(1)[0]
         pose = self._states[0].body_q.numpy().astype(float)
         given = rod.directors(count)
         self._director = Rotation.from_quat(pose[:, 3:]).inv().apply(given)
 
-    def load(self, rod: Rod) -> None:
-        """The loads at the ends, as the rod lies now."""
+    def advance(self, steps: int) -> None:
+        """Under the loads at the ends, as the rod lies now."""
         force = np.zeros((self.model.body_count, 6), dtype=np.float32)
         pose = self._states[0].body_q.numpy()
-        for load in rod.loads:
+        for load in self._rod.loads:
             k, side = (-1, 1.0) if load.at is End.END else (0, -1.0)
             arm = Rotation.from_quat(pose[k, 3:]).apply([0.0, 0.0, side * self._half])
             force[k] += [*load.force, *np.cross(arm, load.force)]
         for state in self._states:
             state.body_f.assign(force)
+        super().advance(steps)
 
-    def _there_and_back(self, dt: float) -> None:
-        for _ in range(2):
-            self._solver.step(*self._states, self._control, None, dt)
-            self._states.reverse()
+    def _step(self) -> None:
+        self._solver.step(*self._states, self._control, None, self._dt)
 
-    def advance(self, count: int, dt: float) -> None:
-        """Steps, an even number; replayed from a graph."""
-        if self._graph is None:
-            self._there_and_back(dt)  # compiles
-            with wp.ScopedCapture(device=self.model.device) as capture:
-                self._there_and_back(dt)
-            self._graph = capture.graph
-            count -= 2
-        for _ in range(count // 2):
-            wp.capture_launch(self._graph)
-
-    def read(self) -> tuple[np.ndarray, np.ndarray]:
+    def read(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """(node, 3) positions and (edge, 3) directors; a clamp's node is at the clamp."""
         pose = self._states[0].body_q.numpy().astype(float)
         turn = Rotation.from_quat(pose[:, 3:])
         ahead = turn.apply([0.0, 0.0, self._half])
         first = pose[:1, :3] - ahead[:1] if self._origin is not None else self._clamp[None]
-        return np.concatenate([first, pose[:, :3] + ahead]), turn.apply(self._director)
+        return [np.concatenate([first, pose[:, :3] + ahead])], [turn.apply(self._director)]

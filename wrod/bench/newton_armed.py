@@ -120,7 +120,7 @@ class ArmedVbd(HeldVbd):
     does not feel it."""
 
     def _make_hands(self, worlds: int) -> None:
-        cables = self._solver.model
+        cables = self.model
         world = newton.ModelBuilder(gravity=(CABLE.gravity, 0.0, 0.0))
         add_arm(world)
         builder = newton.ModelBuilder()

@@ -37,30 +37,60 @@ def move_hands(
     )
 
 
-class _Hands:
-    """What moves the first body of every world, of which each has `stride` bodies."""
+class Graphed:
+    """Steps there and back between the two `_states` of a `model`; two of them are a graph."""
 
-    def __init__(self, model, worlds: int, dt: float):
-        self._start, self._worlds, self._dt = wp.clone(model.body_q), worlds, dt
-        self._stride = model.body_count // worlds
-        self._time = wp.zeros(worlds, dtype=wp.float64, device=model.device)
+    model: newton.Model
+    _states: list[newton.State]
+    _graph = None
 
-    def move(self, state) -> None:
+    def _step(self) -> None:
+        """From the first state to the second."""
+        raise NotImplementedError
+
+    def step(self) -> None:
+        """Two steps, there and back: what a graph can hold."""
+        for _ in range(2):
+            self._step()
+            self._states.reverse()
+
+    def launch(self, steps: int) -> None:
+        for _ in range(steps // 2):
+            self.step()
+
+    def advance(self, steps: int) -> None:
+        """As `launch`, but from a graph."""
+        if self._graph is None:
+            self.step()  # compiles
+            with wp.ScopedCapture(device=self.model.device) as capture:
+                self.step()
+            self._graph, steps = capture.graph, steps - 2
+        for _ in range(steps // 2):
+            wp.capture_launch(self._graph)
+
+
+class _Held(Graphed):
+    """Worlds of which the first body goes to and fro, in steps of `dt` [s]."""
+
+    dt: float
+
+    def _make_hands(self, worlds: int) -> None:
+        self._start, self._worlds = wp.clone(self.model.body_q), worlds
+        self._time = wp.zeros(worlds, dtype=wp.float64, device=self.model.device)
+
+    def _move_hands(self) -> None:
         wp.launch(
             move_hands,
             self._worlds,
-            [wp.float64(self._dt), wp.float64(_AMPLITUDE), wp.float64(_RATE), self._stride]
-            + [self._start, self._time],
-            [state.body_q],
-            device=self._start.device,
+            [wp.float64(self.dt), wp.float64(_AMPLITUDE), wp.float64(_RATE)]
+            + [self.model.body_count // self._worlds, self._start, self._time],
+            [self._states[0].body_q],
+            device=self.model.device,
         )
 
 
-class HeldDer:
-    """Worlds of one cable that hangs along x, its upper end clamped by a kinematic body; two steps
-    are a graph."""
-
-    _graph = None
+class HeldDer(_Held):
+    """Worlds of one cable that hangs along x, its upper end clamped by a kinematic body."""
 
     def __init__(
         self, worlds: int, edges: int, dt: float, device: str, requires_grad: bool = False
@@ -85,33 +115,10 @@ class HeldDer:
     def _add_hand(self, world: newton.ModelBuilder) -> int:
         return world.add_body(is_kinematic=True)
 
-    def _make_hands(self, worlds: int) -> None:
-        self._hands = _Hands(self.model, worlds, self.dt)
-
     def _step(self) -> None:
+        self._move_hands()
         state, other = self._states
-        self._hands.move(state)
         self._solver.step(state, other, None, None, self.dt)
-
-    def step(self) -> None:
-        """Two steps, there and back between the states: what a graph can hold."""
-        for _ in range(2):
-            self._step()
-            self._states.reverse()
-
-    def launch(self, steps: int) -> None:
-        for _ in range(steps // 2):
-            self.step()
-
-    def advance(self, steps: int) -> None:
-        """As `launch`, but from a graph."""
-        if self._graph is None:
-            self.step()
-            with wp.ScopedCapture(device=self.model.device) as capture:
-                self.step()
-            self._graph, steps = capture.graph, steps - 2
-        for _ in range(steps // 2):
-            wp.capture_launch(self._graph)
 
     def tips(self) -> np.ndarray:
         if self._solver.diverged.any():
@@ -132,8 +139,8 @@ def weigh(model: newton.Model, mass: float) -> None:
         array.assign(values * ratio.reshape(-1, *[1] * (values.ndim - 1)) ** power)
 
 
-class HeldVbd:
-    """The same under Newton's own cable solver, in float32; its steps replayed as graphs.
+class HeldVbd(_Held):
+    """The same under Newton's own cable solver, in float32.
 
     Its first body is clamped: the continuum's clamp stands at that body's middle.
     """
@@ -152,7 +159,7 @@ class HeldVbd:
         world.color()
         builder = newton.ModelBuilder()
         builder.replicate(world, worlds)
-        model = builder.finalize(device=device)
+        model = self.model = builder.finalize(device=device)
         flags = model.body_flags.numpy()
         flags[::edges] = int(newton.BodyFlags.KINEMATIC)
         model.body_flags.assign(flags)
@@ -161,35 +168,11 @@ class HeldVbd:
         self._rows = edges * (np.arange(worlds) + 1) - 1
         self._solver = newton.solvers.SolverVBD(model, iterations=iterations)
         self._control, self._states = model.control(), [model.state(), model.state()]
-        self._graphs: list = []
-        self._compiled = False
         self._make_hands(worlds)
-
-    def advance(self, steps: int) -> None:
-        """Graphs are bound to their arrays: one for the steps there, one for those back."""
-        for _ in range(steps):
-            if len(self._graphs) == 2:
-                wp.capture_launch(self._graphs[0])
-                self._graphs.reverse()
-            elif not self._compiled:
-                self._step()
-                self._compiled = True
-            else:
-                with wp.ScopedCapture(device=self._solver.model.device) as capture:
-                    self._step()
-                wp.capture_launch(capture.graph)
-                self._graphs.append(capture.graph)
-            self._states.reverse()
 
     def tips(self) -> np.ndarray:
         pose = self._states[0].body_q.numpy()[self._rows].astype(float)
         return pose[:, :3] + Rotation.from_quat(pose[:, 3:]).apply([0.0, 0.0, self._half])
-
-    def _make_hands(self, worlds: int) -> None:
-        self._hands = _Hands(self._solver.model, worlds, self.dt)
-
-    def _move_hands(self) -> None:
-        self._hands.move(self._states[0])
 
     def _step(self) -> None:
         self._move_hands()
