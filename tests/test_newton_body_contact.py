@@ -7,7 +7,7 @@ import warp as wp
 from chosen import DEVICE
 
 import wrod
-from wrod.bench.newton_touching import SIZE, Plugs, acceleration
+from wrod.bench.newton_laid import SIZE, Plugs, acceleration
 from wrod.errors import WrodWarning
 
 pytestmark = pytest.mark.filterwarnings("ignore:rods pass through")

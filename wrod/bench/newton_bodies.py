@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from wrod.bench import newton_lag, newton_laid, newton_plectoneme, newton_touching
+from wrod.bench import newton_lag, newton_laid, newton_plectoneme
 from wrod.bench.newton_piles import Pile
 from wrod.newton_solver import SolverDER
 from wrod.rods.batch import RodBatch
@@ -249,7 +249,6 @@ def measure() -> Iterator[tuple[str, str, str]]:
             what = f"{name} that holds a cable, {mover} [N m]"
             yield what, f"{found:.4f}", f"{expected:.4f}"
     yield from newton_lag.measure()
-    yield from newton_touching.measure()
     yield from newton_laid.measure()
     yield from newton_plectoneme.measure()
     pile = Pile()
