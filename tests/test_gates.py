@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import wrod
-from wrod.bench import applications_cables as cables
+from wrod.bench import applications_trials as cables
 from wrod.bench.applications_report import success_interval
 from wrod.bench.applications_trials import CABLE_FRICTION, cable_scene
 from wrod.deployment.assembly import _batch

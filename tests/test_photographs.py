@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import wrod
-from wrod.bench.photographs_scenarios import believed_scenario, scenarios_of
+from wrod.bench.photographs_deployments import believed_scenario, scenarios_of
 from wrod.deployment.assembly import INTERNAL_DAMPING
 from wrod.deployment.discretisation import Discretisation
 from wrod.errors import DataError, RodError

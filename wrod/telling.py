@@ -5,6 +5,7 @@ up: nothing has to be handed down to them.
 """
 
 import json
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import click
@@ -26,6 +27,11 @@ def asked(name: str) -> bool | None:
     """Whether the running command was given a `flag`; None where it has none."""
     context = click.get_current_context(silent=True)
     return None if context is None else context.meta.get(f"wrod {name}")
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a table in Markdown."""
+    return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)]
 
 
 def tell(figures: dict[str, Any], *lines: str) -> None:

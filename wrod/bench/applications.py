@@ -9,6 +9,8 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.errors import DataError
+from wrod.machine import machine_line
 from wrod.options import FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
@@ -46,13 +48,10 @@ def command(
     diameter of its thinnest rod. The report says what was drawn. Finished trials are kept in
     OUT/trials.jsonl: a run that was stopped goes on from there.
     """
-    from wrod.bench.applications_cables import disturbances_text
     from wrod.bench.applications_report import markdown, table
-    from wrod.bench.applications_trials import METHODS, SHORT
-    from wrod.errors import DataError
+    from wrod.bench.applications_trials import METHODS, SHORT, disturbances_text
     from wrod.files import row_schemas
     from wrod.files.ledger import Ledger
-    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
@@ -113,8 +112,7 @@ def _run(pending: list, total: int, cases, size: int, ledger, device, usd) -> li
 
 def _write(out: Path, text: str, rows: list[dict]) -> list[Path]:
     """The report and its pictures."""
-    from wrod.bench.applications_cables_picture import draw_cables
-    from wrod.bench.applications_report import draw
+    from wrod.bench.applications_report import draw, draw_cables
     from wrod.files import write_text
 
     write_text(out / "applications.md", text)

@@ -5,8 +5,10 @@ import time
 import click
 
 from wrod import cost
-from wrod.options import option, own_options
-from wrod.telling import json_option, tell
+from wrod.errors import RodError
+from wrod.machine import machine_line
+from wrod.options import option, own_options, parse_list
+from wrod.telling import json_option, table, tell
 
 
 @click.command(name="bends")
@@ -23,9 +25,6 @@ def command(
     applications` pulls its knots: up to a load that is kept up.
     A minute or two of CPU each."""
     from wrod.bench.bend_shapes import BENDS
-    from wrod.errors import RodError
-    from wrod.machine import machine_line
-    from wrod.options import parse_list
     from wrod.rods.catalogue import rod
 
     friction = parse_list(frictions, "--friction", 0.0, 100.0)
@@ -49,19 +48,18 @@ def command(
     tell(
         figures,
         f"{rods}, both hands pull with {load:g} N\n",
-        "| laid as | friction | pull reached [N] | gave [mm] | held | at the end |",
-        "| --- | --- | --- | --- | --- | --- |",
-        *map(_told, rows),
+        *table(
+            ("laid as", "friction", "pull reached [N]", "gave [mm]", "held", "at the end"),
+            map(_told, rows),
+        ),
         *[f"wrote {out}"] * bool(out),
     )
 
 
-def _told(row: dict) -> str:
-    gave = f"{1e3 * row['crept']:.1f}" if row["tight"] else ""
-    return (
-        f"| {row['laid']} | {row['friction']:g} | {row['strongest']:.2f} | {gave} | "
-        f"{'yes' if row['held'] else 'no'} | {row['pulled']} |"
-    )
+def _told(row: dict) -> tuple[str, ...]:
+    gave, held = f"{1e3 * row['crept']:.1f}" if row["tight"] else "", "yes" if row["held"] else "no"
+    numbers = f"{row['friction']:g}", f"{row['strongest']:.2f}"
+    return row["laid"], *numbers, gave, held, row["pulled"]
 
 
 def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> dict:
@@ -79,7 +77,7 @@ def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> d
 
     lines, arcs = bend(name, rods, **shape)
     position = np.concatenate(lines)[None]
-    table = Workbench(
+    bench = Workbench(
         [rods],
         arcs,
         position,
@@ -87,19 +85,19 @@ def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> d
         (Friction(0.6), Friction(friction)),
     )
     away = Poses(np.array([[0.0, 0.0, 1.0]]), Rotation.identity(1))
-    table.run(0.6, lambda t: [away, away])
-    laid = [one[0] for one in table.positions()]
+    bench.run(0.6, lambda t: [away, away])
+    laid = [one[0] for one in bench.positions()]
     starts = np.array([(one[0] + one[1]) / 2 for one in laid])
     seen: dict[str, list] = {"laid": laid}
 
-    for h, nodes in enumerate(table.slices):
-        table.held.grasp(0, h, nodes.start, Poses(starts[h][None], Rotation.identity(1)))
+    for h, nodes in enumerate(bench.slices):
+        bench.held.grasp(0, h, nodes.start, Poses(starts[h][None], Rotation.identity(1)))
     pair = TwoHands(starts, 0.6 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.03)
-    outcome = keep_up(table, pair, load, 2.0 * CREEP * min(one.radius for one in rods))
+    outcome = keep_up(bench, pair, load, 2.0 * CREEP * min(one.radius for one in rods))
     tight = bool(np.isfinite(outcome.tight_at[0]))
     if tight:
         seen["tight"] = [one[0] for one in outcome.tight]
-    seen["pulled"] = [one[0] for one in table.positions()]
+    seen["pulled"] = [one[0] for one in bench.positions()]
     first, last = recognise_pair(*laid).name, recognise_pair(*seen["pulled"])
     return {
         "laid": first,

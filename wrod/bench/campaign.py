@@ -11,7 +11,7 @@ import numpy as np
 from wrod import cost
 from wrod.deployment.bounds import check_release, refuse_long_moves
 from wrod.files.ledger import Ledger
-from wrod.options import option
+from wrod.options import FOLDER, SOURCE_FOLDER, option
 
 # Points at which laid curves are kept.
 _CURVE_POINTS = 60
@@ -99,14 +99,21 @@ def _checked_release(ctx: click.Context, option: click.Parameter, release: float
     return release
 
 
+SCHEME = option(
+    "Of time stepping, of first and of second order.",
+    type=click.Choice(["euler", "bdf2"]),
+    default="bdf2",
+)
+
+
 @dataclass(frozen=True)
 class Common:
     """Options that all campaigns have; each has its own speed, step and spacing by default."""
 
-    out: Path = option(None, type=click.Path(file_okay=False, path_type=Path), required=True)
+    out: Path = option(None, type=FOLDER, required=True)
     patterns: Path | None = option(
         "Folder of pattern files (line.txt, letterA.txt, ...); default: the built-in patterns.",
-        type=click.Path(file_okay=False, exists=True, path_type=Path),
+        type=SOURCE_FOLDER,
     )
     release: float = option(
         "Laid length at which the free end, held for 5 cm, is let go [m].",
@@ -115,11 +122,7 @@ class Common:
     )
     speed: float = option("Speed of the contact [m/s].")
     step: float = option("Largest time step [s].")
-    scheme: str = option(
-        "Of time stepping, of first and of second order.",
-        type=click.Choice(["euler", "bdf2"]),
-        default="bdf2",
-    )
+    scheme: str = SCHEME
     spacing: float = option("Length of the edges [m].")
     batch: int | None = option("Trials simulated at once; default: 32, CUDA all.")
     device: str = option("cpu, cuda:0 or auto.", default="auto")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod import files
+from wrod import files, telling
 from wrod.files import write_figure
 
 TITLES = {
@@ -55,16 +55,16 @@ def markdown(rows: list[dict], found: dict, head: str) -> str:
     lines = [head, ""]
     for effect, told in found.items():
         lines += [f"{_title(effect)}: {_told(told)}", ""]
-    lines.append("| rod | controller | plan | " + " | ".join(patterns) + " | mean |")
-    lines.append("|" + " --- |" * (4 + len(patterns)))
     kinds = [("none", controller, "old", "old") for controller in controllers]
     for effect in found:
         for controller in controllers:
             kinds += [(effect, controller, plan, f"**{plan}**") for plan in ("old", "new")]
+    table = []
     for effect, controller, plan, shown in kinds:
         texts = [_cell(cell[effect, controller, name, plan]) for name in patterns]
         texts.append(f"{mean_error(rows, effect, controller, plan):.3f}")
-        lines.append(f"| {_title(effect)} | {controller} | {shown} | " + " | ".join(texts) + " |")
+        table.append([_title(effect), controller, shown, *texts])
+    lines += telling.table(["rod", "controller", "plan", *patterns, "mean"], table)
     return "\n".join([*lines, "", *summary(rows), ""])
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from wrod.bench.campaign import SCHEME
 from wrod.options import FOLDER, SOURCE_FOLDER, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
@@ -22,11 +23,7 @@ def command(
     nothing_fitted: bool = option("One scenario a picture, as told; no predictions."),
     spacing: float = option("Length of the edges [m].", default=0.01),
     step: float = option("Largest time step [s].", default=0.025),
-    scheme: str = option(
-        "Of time stepping, of first and of second order.",
-        type=click.Choice(["euler", "bdf2"]),
-        default="bdf2",
-    ),
+    scheme: str = SCHEME,
     damping: float | None = option(
         "Kelvin-Voigt time of the rods' material [s]; default: that of recorded cables."
     ),

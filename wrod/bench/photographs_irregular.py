@@ -25,6 +25,7 @@ from wrod.identification.laid.placement import foot, rigid, shown_at
 from wrod.identification.laid.scenario import LaidRod
 from wrod.rods.catalogue import rod as preset
 from wrod.rods.profile import Profile
+from wrod.telling import table
 
 # Bends keep over so much rod: exp(-s^2 / (4 l^2)) is their correlation [m].
 CORRELATED = 0.03
@@ -146,26 +147,26 @@ def scatter(
 
 def scatter_table(sizes: dict[str, dict], scatters: dict[str, dict[str, Scatter]]) -> str:
     """Tables by rod of `irregular`'s figures and of {pattern: `Scatter`}."""
-    lines = ["Rods bent at random: what a line would be laid in (10, 50, 90 %)", ""]
-    lines += ["| rod | bends [1/m] (or grip aside [mm]) | length [m] | growth [1/m] | left |"]
-    lines += ["| --- | --- | --- | --- | --- |"]
+    told = []
     for rod, one in sizes.items():
         of = [", ".join(f"{v:.2f}" for v in one[key]) for key in ("wavelength", "rate", "left")]
-        lines.append(f"| {rod} | {one['size']:.1f} ({1e3 * one['aside']:.1f}) | {' | '.join(of)} |")
-    names = list(next(iter(scatters.values())))
-    lines += [
-        "",
-        "How far a rod lies from a straight one, seen (16 of those drawn, 10 to 90 %) [mm]",
-    ]
-    lines += ["", f"| rod | {' | '.join(names)} |", "| --- |" + " --- |" * len(names)]
+        told.append([rod, f"{one['size']:.1f} ({1e3 * one['aside']:.1f})", *of])
+    head = ("rod", "bends [1/m] (or grip aside [mm])", "length [m]", "growth [1/m]", "left")
+    cells = []
     for rod, far in scatters.items():
-        cells = []
+        cells.append([rod])
         for one in far.values():
             low, _, high = 1e3 * np.percentile(one.drawn, _SHARES)
-            cells.append(f"{1e3 * one.seen:.1f} ({low:.1f} to {high:.1f})")
-        lines.append(f"| {rod} | {' | '.join(cells)} |")
+            cells[-1].append(f"{1e3 * one.seen:.1f} ({low:.1f} to {high:.1f})")
     others = [one.rank for far in scatters.values() for name, one in far.items() if name != "line"]
-    lines += [
+    lines = [
+        "Rods bent at random: what a line would be laid in (10, 50, 90 %)",
+        "",
+        *table(head, told),
+        "",
+        "How far a rod lies from a straight one, seen (16 of those drawn, 10 to 90 %) [mm]",
+        "",
+        *table(["rod", *next(iter(scatters.values()))], cells),
         "",
         f"{others.count(0)} of {len(others)} pictures that are no lines lie as far off as the "
         f"middle 80 % of those drawn, {others.count(-1)} nearer, {others.count(1)} farther.",

@@ -4,8 +4,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from wrod.bench.photographs_deployments import Deployments
-from wrod.bench.photographs_scenarios import believed_scenario, scenarios_of
+from wrod.bench.photographs_deployments import Deployments, believed_scenario, scenarios_of
 from wrod.errors import DataError
 from wrod.identification.laid.camera import OverheadCamera, find_camera
 from wrod.identification.laid.choice import aligned, average, simplest, spread, weigh

@@ -19,6 +19,7 @@ from wrod.rods.batch import RodBatch
 from wrod.rods.catalogue import rod as preset
 from wrod.rods.material import RodMaterial
 from wrod.solvers.statics import prescribe, solve_equilibria
+from wrod.telling import table
 
 # Excess [L_gb] and laid lengths [m] that are looked at.
 EXCESS = (-1.0, -0.5, 0.0, 0.5, 1.0, 1.5)
@@ -197,10 +198,9 @@ def modes(photographs: list[LaidPhotograph], out: Path) -> tuple[dict, list[Path
         "The lateral mode of INT on a straight line, by how much rod hangs too low [L_gb], in the "
         "middle of the line: length [m] and growth [1/m]; seen; what it takes to lay that",
         "",
-        f"| rod | {' | '.join(f'{e:g}' for e in EXCESS)} | seen (allowed) | left, of [mm] | "
-        "grip aside [mm] | bent by [1/m] | friction |",
-        "| --- |" + " --- |" * (len(EXCESS) + 5),
     ]
+    head = ["rod", *(f"{e:g}" for e in EXCESS), "seen (allowed)", "left, of [mm]"]
+    told = []
     for name, row in rows.items():
         wave, (low, high) = seen[name], row["allowed"]
         middle = [
@@ -208,13 +208,14 @@ def modes(photographs: list[LaidPhotograph], out: Path) -> tuple[dict, list[Path
             for length, rate, s in zip(row["wavelength"], row["rate"], row["laid"], strict=True)
             if s == LAID[1]
         ]
-        text.append(
-            f"| {name} | {' | '.join(middle)} | "
+        of_wave = (
             f"{wave.wavelength:.3f} ({low[1]:.3f} to {high[1]:.3f}), {wave.rate:+.1f} "
-            f"({low[0]:+.1f} to {high[0]:+.1f}) | {1e3 * wave.left:.1f}, "
-            f"{1e3 * wave.slope_left:.1f} | {1e3 * row['aside']:.1f} | {row['bent']:.1f} | "
-            f"{row['friction']:.2f} |"
+            f"({low[0]:+.1f} to {high[0]:+.1f})"
         )
+        left = f"{1e3 * wave.left:.1f}, {1e3 * wave.slope_left:.1f}"
+        takes = f"{1e3 * row['aside']:.1f}", f"{row['bent']:.1f}", f"{row['friction']:.2f}"
+        told.append([name, *middle, of_wave, left, *takes])
+    text += table([*head, "grip aside [mm]", "bent by [1/m]", "friction"], told)
     path = _draw(lines, seen, rows, out / "mode.png")
     return {"rods": rows, "text": "\n".join(text) + "\n"}, [path]
 
@@ -274,5 +275,4 @@ def _draw(lines: dict, seen: dict[str, SeenWave], rows: dict[str, dict], path: P
     plane.tick_params(labelsize=7)
     plane.legend(fontsize=7)
     figure.tight_layout()
-    write_figure(path, figure, 110)
-    return path
+    return write_figure(path, figure, 110)

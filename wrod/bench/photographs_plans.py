@@ -17,6 +17,7 @@ from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.scenario import Scenario
 from wrod.rods.catalogue import rod as preset
 from wrod.solvers.friction import Friction
+from wrod.telling import table
 
 _PLANS = ("rod believed", "rod found", "rod and table found")
 _KEYS = ("rod", "pattern", "plan", "scenario")
@@ -38,23 +39,19 @@ def plans_in_scenarios_found(
         | {name: errors[p.rod, p.pattern_name, name] for name in _PLANS}
         for p in photographs
     ]
-    text = [
-        "Plans laid in the mean scenario found (e_mean [cm], the grip still holding)",
-        "",
-        "| rod | pattern | " + " | ".join(f"plan: {name}" for name in _PLANS) + " |",
-        "| --- | --- |" + " --- |" * len(_PLANS),
-    ]
+    told = []
     for row in rows:
         said = ["-" if row[n] is None else f"{row[n]:.2f}" for n in _PLANS]
-        text.append(f"| {row['rod']} | {row['pattern']} | " + " | ".join(said) + " |")
+        told.append([row["rod"], row["pattern"], *said])
     for rod, scenario in scenarios.items():
         mean = [_mean(row[n] for row in rows if row["rod"] == rod) for n in _PLANS]
-        text.append(
-            f"| {rod} | mean (friction {scenario.friction:.2f}, L_gb x {scenario.lgb_ratio:.3f}, "
-            f"natural curvature {scenario.curvature:.2f} /m at "
-            f"{np.degrees(scenario.roll):+.0f} deg) | "
-            + " | ".join(f"{value:.2f}" for value in mean) + " |"
-        )  # fmt: skip
+        found = (
+            f"mean (friction {scenario.friction:.2f}, L_gb x {scenario.lgb_ratio:.3f}, natural "
+            f"curvature {scenario.curvature:.2f} /m at {np.degrees(scenario.roll):+.0f} deg)"
+        )
+        told.append([rod, found, *(f"{value:.2f}" for value in mean)])
+    text = ["Plans laid in the mean scenario found (e_mean [cm], the grip still holding)", ""]
+    text += table(["rod", "pattern", *(f"plan: {name}" for name in _PLANS)], told)
     return {
         "scenarios": {rod: scenario.as_dict() for rod, scenario in scenarios.items()},
         "rows": rows,

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import norm
 
-from wrod.bench.photographs_deployments import Deployments
+from wrod.bench.photographs_deployments import Deployments, scenarios_of
 from wrod.bench.photographs_judge import (
     FIRST,
     HELD,
@@ -15,13 +15,13 @@ from wrod.bench.photographs_judge import (
     Verdict,
     scenarios_for_optimal,
 )  # fmt: skip
-from wrod.bench.photographs_scenarios import scenarios_of
 from wrod.deployment.result import deployment_error
 from wrod.files import read_fields, write_figure, write_json, write_npz
 from wrod.identification.laid.camera import OverheadCamera
 from wrod.identification.laid.choice import spread
 from wrod.identification.laid.photographs import LaidPhotograph, load_photograph
 from wrod.identification.laid.placement import raw, rigid
+from wrod.telling import table
 
 TARGET = 2.5e-3
 _PRACTICE = ("green-vps", "letterL")
@@ -33,19 +33,17 @@ def left_out_table(verdicts: list[Verdict]) -> str:
     lines = [
         "Mean distance of the points seen from the predicted rod [mm]: raw, after a rigid motion",
         "",
-        "| rod | pattern | nothing fitted | left out by pattern (how) | "
-        f"mean of the scenarios: {ONE} | {MIXTURE} | best scenario |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     rows = [row for verdict in verdicts for row in verdict.rows]
-    for r in rows:
-        lines.append(
-            f"| {r.rod} | {r.pattern} | {1e3 * r.believed_raw:.1f}, {1e3 * r.believed:.1f} | "
-            f"{1e3 * r.left_out_raw:.1f}, {1e3 * r.left_out:.1f} ({r.way}) | "
-            f"{1e3 * r.means[ONE]:.1f} | {1e3 * r.means[MIXTURE]:.1f} | "
-            f"{1e3 * r.best:.1f} ({r.best_scenario}) |"
-        )
-
+    head = ["rod", "pattern", "nothing fitted", "left out by pattern (how)"]
+    told = [
+        [r.rod, r.pattern, f"{1e3 * r.believed_raw:.1f}, {1e3 * r.believed:.1f}",
+         f"{1e3 * r.left_out_raw:.1f}, {1e3 * r.left_out:.1f} ({r.way})",
+         f"{1e3 * r.means[ONE]:.1f}", f"{1e3 * r.means[MIXTURE]:.1f}",
+         f"{1e3 * r.best:.1f} ({r.best_scenario})"]
+        for r in rows
+    ]  # fmt: skip
+    lines += table([*head, f"mean of the scenarios: {ONE}", MIXTURE, "best scenario"], told)
     ways = {
         "nothing fitted": [r.believed for r in rows],
         "left out by pattern": [r.left_out for r in rows],
@@ -126,10 +124,9 @@ def write_predictions(
             good = np.array([one.reached for one in rods])
             if not good.any():
                 continue
-            share = weights[good] / weights[good].sum() if weights[good].any() else None
-            rods = [one for one, ok in zip(rods, good, strict=True) if ok]
-            if share is None:
-                share = np.full(len(rods), 1.0 / len(rods))
+            heard = weights[good] if weights[good].any() else np.ones(good.sum())
+            share = heard / heard.sum()
+            rods = [one for one in rods if one.reached]
             arrays, figures = _prediction(photograph, rods, share, verdict.camera)
             name = f"{photograph.rod}-{photograph.pattern_name}-opt"
             path = out / f"{name}.npz"
@@ -236,9 +233,7 @@ def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) 
             f"{verdict.rod}: red seen, blue predicted from the rod's other pictures [m]", fontsize=9
         )
         figure.tight_layout()
-        path = out / f"{verdict.rod}.png"
-        write_figure(path, figure, 110)
-        written.append(path)
+        written.append(write_figure(out / f"{verdict.rod}.png", figure, 110))
     return written
 
 
@@ -275,6 +270,4 @@ def draw_lines(
         axis.tick_params(labelsize=7)
     axes[-1, 0].set_xlabel("along the line [m]", fontsize=8)
     figure.tight_layout()
-    path = out / "lines.png"
-    write_figure(path, figure, 110)
-    return [path]
+    return [write_figure(out / "lines.png", figure, 110)]

@@ -37,6 +37,7 @@ from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 from wrod.solvers.friction import Friction
+from wrod.telling import table
 
 RODS = ("rope", "pink-vps", "green-vps")
 OTHERS = ("circle", "sine", "letterU", "letterC", "letterL", "letterA")
@@ -222,18 +223,18 @@ def _waves_of(rod: str, own: dict[str, LaidPhotograph], camera: OverheadCamera, 
             }
         )
     seen = 1e3 * _height(own["line"].points)
+    head = ("mechanism (the line's best sense)", "senses", "line", "its height", "others, best")
+    told = [
+        [f"{r['cause']}{r['sense'] and ', ' + r['sense']}", f"{r['senses']}",
+         f"{r['line_mm']:.1f}", f"{r['height_mm']:.0f}",
+         f"{_others(r, min):.1f}", f"{_others(r, np.mean):.1f}"]
+        for r in rows
+    ]  # fmt: skip
     text = [
         f"The {rod}'s waves ({seen:.1f} mm from crest to trough), one mechanism at a time, each "
         "picture in the best of its senses [mm]",
         "",
-        "| mechanism (the line's best sense) | senses | line | its height | others, best | all |",
-        "| --- | --- | --- | --- | --- | --- |",
-        *(
-            f"| {r['cause']}{r['sense'] and ', ' + r['sense']} | {r['senses']} | "
-            f"{r['line_mm']:.1f} | {r['height_mm']:.0f} | {_others(r, min):.1f} | "
-            f"{_others(r, np.mean):.1f} |"
-            for r in rows
-        ),
+        *table((*head, "all"), told),
     ]
     lines = {row["cause"]: placed[row["cause"], row["sense"], "line"] for row in rows}
     path = _draw(own["line"], lines, out / f"waves-{rod}.png")
@@ -328,5 +329,4 @@ def _draw(photograph: LaidPhotograph, lines: dict[str, Alignment | None], path: 
     figure.supxlabel("along the line [m]", fontsize=8)
     figure.supylabel("across [mm]", fontsize=8)
     figure.tight_layout()
-    write_figure(path, figure, 110)
-    return path
+    return write_figure(path, figure, 110)

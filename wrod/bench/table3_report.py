@@ -2,11 +2,12 @@
 
 from collections import defaultdict
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from wrod import files
+from wrod import files, telling
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
 from wrod.files import write_figure
 
@@ -77,27 +78,23 @@ def _order(key) -> tuple[int, ...]:
 def markdown(table: dict, head: str) -> str:
     """Simulated over measured in every cell, with what the comparison comes to below."""
     paper = measured()
-    lines = [head, "", "| rod | substrate, mu | | " + " | ".join(PATTERNS) + " |"]
-    lines.append("|" + " --- |" * (3 + len(PATTERNS)))
-    for rod in RODS:
-        for substrate in SUBSTRATES:
-            for method in METHODS:
-                if not any((rod, substrate, name, method) in table for name in PATTERNS):
-                    continue
-                row = [rod, f"{substrate}, {friction(rod, substrate):g}", SHORT[method]]
-                for name in PATTERNS:
-                    cell = table.get((rod, substrate, name, method))
-                    if cell is None:
-                        row.append("")
-                        continue
-                    there = paper[rod, substrate, name, method]
-                    row.append(
-                        f"**{cell.held[0]:.2f} ± {cell.held[1]:.2f}**{cell.lost}<br>"
-                        f"let go {cell.released[0]:.2f} ± {cell.released[1]:.2f}<br>"
-                        f"paper {there[0]:.2f} ± {there[1]:.2f}"
-                    )
-                lines.append("| " + " | ".join(row) + " |")
-    return "\n".join([*lines, "", *summary(table), ""])
+    rows = []
+    for rod, substrate, method in product(RODS, SUBSTRATES, METHODS):
+        if not any((rod, substrate, name, method) in table for name in PATTERNS):
+            continue
+        rows.append([rod, f"{substrate}, {friction(rod, substrate):g}", SHORT[method]])
+        for name in PATTERNS:
+            cell = table.get((rod, substrate, name, method))
+            there = paper[rod, substrate, name, method]
+            rows[-1].append(
+                f"**{cell.held[0]:.2f} ± {cell.held[1]:.2f}**{cell.lost}<br>"
+                f"let go {cell.released[0]:.2f} ± {cell.released[1]:.2f}<br>"
+                f"paper {there[0]:.2f} ± {there[1]:.2f}"
+                if cell
+                else ""
+            )
+    lines = telling.table(["rod", "substrate, mu", "", *PATTERNS], rows)
+    return "\n".join([head, "", *lines, "", *summary(table), ""])
 
 
 def summary(table: dict) -> list[str]:
@@ -144,12 +141,10 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
                 continue
             target = patterns[name].sample(np.linspace(0.0, patterns[name].length, 300))[0]
             panel.plot(target[:, 0], target[:, 1], color="#0b5fa5", lw=4.0, alpha=0.35)
-            for method in METHODS:
-                for row in rows:
-                    if row["rod"] != rod or row["pattern"] != name or row["method"] != method:
-                        continue
-                    curve = np.array(row["curve"])
-                    panel.plot(*curve.T, color=colors[method], lw=0.7, alpha=0.6)
+            own = [row for row in rows if (row["rod"], row["pattern"]) == (rod, name)]
+            for row in sorted(own, key=lambda row: METHODS.index(row["method"])):
+                curve = np.array(row["curve"])
+                panel.plot(*curve.T, color=colors[row["method"]], lw=0.7, alpha=0.6)
             panel.set_aspect("equal", adjustable="datalim")
             panel.margins(0.12)
             if i == 0:
