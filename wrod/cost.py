@@ -12,6 +12,7 @@ from pathlib import Path
 
 import click
 
+from wrod.errors import DataError
 from wrod.machine import usable_cores
 from wrod.telling import asked, flag
 
@@ -37,6 +38,8 @@ KERNELS, RARE_KERNELS = 80.0, 70.0
 _OPERATIONS = 4e9
 # Longer than this is a mistake more often than a wish [s].
 _LONGEST = 7 * 86400.0
+# Looks of a bar of shares.
+SHARE = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
 # What takes less is begun without a word [s, bytes].
 _NOT_WORTH_SAYING = (10.0, 2.0**30, 2.0**30)
 
@@ -68,7 +71,6 @@ def settle(cost: Cost, what: str, remedy: str = "", *, force: bool | None = None
     Raises:
         DataError: the machine has not so much memory or room, or it takes more than a week.
     """
-    from wrod.errors import DataError
     from wrod.machine import available_memory
 
     context = click.get_current_context(silent=True)
@@ -139,6 +141,13 @@ def ticking(bar) -> Iterator[None]:
         thread.join()
 
 
+@contextmanager
+def share_bar(what: str) -> Iterator[Callable[[float], None]]:
+    """A bar of 100 per cent, by what moves it: called with how much more of all is done."""
+    with progress_bar(total=100, desc=what, bar_format=SHARE) as bar:
+        yield lambda share: bar.update(min(100 * share, bar.total - bar.n))
+
+
 def counting(bar) -> Callable[[int, int], None]:
     """What moves a bar: called with how many more are done, and of how many in all."""
 
@@ -201,11 +210,10 @@ def _room(out: Path | None) -> float:
     """Free bytes on the disk where `out` is, or will be."""
     if out is None:
         return float("inf")
-    place = Path(os.path.abspath(out))
-    while not place.exists():
-        place = place.parent
+    whole = Path(os.path.abspath(out))
     try:
-        return float(shutil.disk_usage(place).free)
+        there = next(place for place in (whole, *whole.parents) if place.exists())
+        return float(shutil.disk_usage(there).free)
     except OSError:
         return float("inf")
 

@@ -5,7 +5,7 @@ import functools
 import inspect
 import typing
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, field, fields
+from dataclasses import Field, field, fields
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -23,7 +23,7 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 USUAL = {"out": "Folder to write into.", "seed": "Of all that is drawn at random."}
 
 
-def option(said: str | None, *flags: str, left_out: Any = MISSING, **how: Any) -> Any:
+def option(said: str | None, *flags: str, left_out: Any = None, **how: Any) -> Any:
     """A field that `gathered`, or an argument that `own_options`, makes an option of; its name and
     annotation tell flag and type.
 

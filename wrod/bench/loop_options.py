@@ -7,18 +7,15 @@ from pathlib import Path
 
 import click
 
-from wrod import cost
 from wrod.bench.loop_trials import CONTROLLERS, EFFECTS
-from wrod.options import option
-
-_BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+from wrod.options import FOLDER, SOURCE_FOLDER, option
 
 
 @dataclass
 class Loop:
     """What is asked for, and how long its parts took [s]."""
 
-    out: Path = option(None, type=click.Path(file_okay=False, path_type=Path), required=True)
+    out: Path = option(None, type=FOLDER, required=True)
     effects: tuple[str, ...] = option("Default: all.", "--effect", type=click.Choice(EFFECTS))
     recording: Path | None = option(
         "Recordings of a cable in motion (.npz) instead: what is found in them is planned with, "
@@ -28,7 +25,7 @@ class Loop:
     names: tuple[str, ...] = option("Pattern (repeatable); default: seven.", "--pattern")
     patterns: Path | None = option(
         "Folder of pattern files (line.txt, letterA.txt, ...); default: the built-in patterns.",
-        type=click.Path(file_okay=False, exists=True, path_type=Path),
+        type=SOURCE_FOLDER,
     )
     rod_name: str = option("Believed rod.", "--rod", default="green-vps")
     curvature: float = option("Natural curvature [1/m].", default=4.0)
@@ -94,7 +91,3 @@ class Loop:
         clock = time.perf_counter()
         yield
         self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - clock
-
-    def bar(self, what: str):
-        """A bar of 100 per cent."""
-        return cost.progress_bar(total=100, desc=what, bar_format=_BAR)

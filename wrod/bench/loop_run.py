@@ -25,6 +25,7 @@ from wrod.files import write_text
 from wrod.identification import identify
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.effect import effects_asked
+from wrod.identification.entry import identification_cost
 from wrod.identification.motion.loading import load_motion
 from wrod.machine import machine_line
 from wrod.options import refuse_idle_options
@@ -86,8 +87,6 @@ def _settle(loop: Loop, curves: dict) -> None:
     read_roll(loop.roll_text, believed)
     effects_asked("clamped" if loop.recording is None else "motion", loop.candidates)
     if loop.recording is not None:
-        from wrod.identification.entry import identification_cost
-
         known, cases, learning = identification_cost(loop.recording), 1, 0.0
         count, length = 2 * max(len(loop.names), 1), 2.0
     else:
@@ -174,7 +173,8 @@ def _trained(loop: Loop, model, folder: Path, roll):
     from wrod.training.finish import controller_for
 
     roll = "plane" if roll is None else roll
-    with loop.timed("training"), loop.bar("train") as bar:
+    bar = cost.progress_bar(total=100, desc="train", bar_format=cost.SHARE)
+    with loop.timed("training"), bar:
         made = controller_for(
             model, folder, roll=roll, grasps=loop.grasps, steps=loop.steps, seed=loop.seed,
             device=loop.device, progress=lambda share: bar.update(100 * share - bar.n),
@@ -192,11 +192,10 @@ def _laid(loop: Loop, cases: dict[str, Case], curves: dict) -> list[dict]:
     with loop.timed("plans"):
         for name, curve in cost.progress_bar(curves.items(), desc="plans"):
             jobs |= trials_along(name, curve, cases, loop.controllers, law, hold, loop.known_table)
-    with loop.timed("deployments"), loop.bar("laid") as bar:
+    with loop.timed("deployments"), cost.share_bar("laid") as progress:
         laid = simulate_deployments(
             list(jobs.values()), speed=loop.speed, device=loop.device, hold=hold,
-            discretisation=Discretisation(loop.spacing, loop.step),
-            progress=lambda fraction: bar.update(min(100 * fraction, bar.total - bar.n)),
+            discretisation=Discretisation(loop.spacing, loop.step), progress=progress,
         )  # fmt: skip
     return [row(key, jobs[key], d) for key, d in zip(jobs, laid, strict=True)]
 

@@ -15,7 +15,6 @@ from wrod.commands.running import (
     INTERRUPTED,
     REFUSED,
     cut,
-    equipped,
     holding_output,
     interruptible,
     stop,
@@ -61,8 +60,7 @@ class LazyGroup(click.Group):
         if name not in self.loaded:
             module = importlib.import_module(f"{self.package}.{name.replace('-', '_')}")
             path = name if self.package == "wrod.commands" else f"bench {name}"
-            command = equipped(bounded(module.command, path), path)
-            self.loaded[name] = holding_output(command)
+            self.loaded[name] = holding_output(bounded(module.command, path), path)
         return self.loaded[name]
 
     def invoke(self, ctx: click.Context):

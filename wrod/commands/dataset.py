@@ -7,6 +7,7 @@ import click
 
 from wrod import cost
 from wrod.commands.options import CLOSURE, DEVICE, ROLL, RodOptions
+from wrod.machine import machine_line
 from wrod.options import FOLDER, gathered, option, own_options, refuse_idle_options
 from wrod.telling import asked, json_option, tell
 
@@ -44,7 +45,6 @@ def command(
     \b
       torchrun --nproc-per-node 4 --no-python wrod dataset --size 1000000 --out DIR
     """
-    from wrod.machine import machine_line
     from wrod.planning.roll import read_roll
     from wrod.training.dataset import SHARD_SIZE, Rank, generate
     from wrod.training.store import row_bytes

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.errors import DataError
 from wrod.options import FOLDER, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
@@ -39,7 +40,6 @@ def command(
     has been computed is kept in OUT/steps.jsonl meanwhile: a run that was stopped goes on from
     there.
     """
-    from wrod.errors import DataError
     from wrod.files import checked_path
 
     if template is not None:

@@ -8,10 +8,9 @@ import click
 
 from wrod import cost
 from wrod.commands.options import DEVICE, UNITS, PatternOptions, RodOptions
+from wrod.errors import DataError
 from wrod.options import FILE, gathered, option, own_options
 from wrod.telling import json_option, tell
-
-_FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @dataclass(frozen=True)
@@ -22,13 +21,11 @@ class _Fit:
     holding: bool = option("Measured with the grip holding, not after it let go.")
     iterations: int = option("Steps of the fit; 0: residual.", default=2)
     fit_friction: bool = option("Find the table's friction, too.")
-    table: Path | None = option("Its file (.json).", type=_FILE)
-    out: Path | None = option("Fitted rod (.json).", type=_FILE)
+    table: Path | None = option("Its file (.json).", type=FILE)
+    out: Path | None = option("Fitted rod (.json).", type=FILE)
 
     def check(self) -> None:
         """Refuse files of what is not fitted."""
-        from wrod.errors import DataError
-
         if self.table is not None and not (self.fit_friction and self.iterations > 0):
             raise DataError("--table is for the friction found; add --fit-friction and iterations")
         if self.iterations == 0 and self.out is not None:
@@ -46,12 +43,11 @@ class _Fit:
         """The `LaidFit`."""
         from wrod.identification.laid.fit import fit_laid
 
-        shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-        with cost.progress_bar(total=1.0, desc="laid", bar_format=shown) as bar:
+        with cost.share_bar("laid") as progress:
             return fit_laid(
                 laid, rod, path, self.friction, released=not self.holding,
                 iterations=self.iterations, fit_friction=self.fit_friction, device=device,
-                progress=lambda share: bar.update(min(share, bar.total - bar.n)),
+                progress=progress,
             )  # fmt: skip
 
     def save(self, found) -> list[str]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from wrod.errors import RodError
 from wrod.options import FILE, option, own_options
 from wrod.telling import json_option, tell
 
@@ -25,7 +26,6 @@ def command(
     the centreline at the top above the centreline of the flat part: the outer height less one
     diameter.
     """
-    from wrod.errors import RodError
     from wrod.rods.material import LOOP_HEIGHT_RATIO, LOOP_LENGTH_RATIO, RodMaterial
     from wrod.rods.model_file import save_rod
 

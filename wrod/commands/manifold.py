@@ -6,6 +6,7 @@ import click
 
 from wrod import cost
 from wrod.commands.options import CLOSURE, DEVICE
+from wrod.errors import GraspError
 from wrod.options import FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
@@ -30,7 +31,6 @@ def command(
     (manifold.png), the optimal grasps under growing nudges (nudges.png), and the numbers
     (manifold.npz).
     """
-    from wrod.errors import GraspError
     from wrod.grasps.manifold.map import force_map, save_map
     from wrod.grasps.manifold.picture import draw_map, draw_nudges
 

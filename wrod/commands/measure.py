@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from wrod.commands.options import PICTURE, UNITS, PatternOptions
+from wrod.errors import DataError, RodError
 from wrod.options import FILE, gathered, option, own_options, refuse_idle_options
 from wrod.telling import asked, json_option, tell
 
@@ -39,7 +40,6 @@ def command(
 
     A third way needs no edge and no camera: see `wrod loop`.
     """
-    from wrod.errors import DataError, RodError
     from wrod.rods.material import RodMaterial
     from wrod.rods.model_file import save_rod
 
@@ -78,7 +78,6 @@ def command(
 
 
 def _of_overhang(overhang: float | None, fall: float | None, reading: float, picture):
-    from wrod.errors import DataError
     from wrod.identification.ruler import measure_overhang
 
     for name in picture.given:
@@ -91,7 +90,6 @@ def _of_overhang(overhang: float | None, fall: float | None, reading: float, pic
 def _of_loop(curve: str, picture: PatternOptions, length: float):
     import numpy as np
 
-    from wrod.errors import DataError
     from wrod.identification.hanging_loop import measure_hanging_loop
 
     loop = picture.read(curve)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from wrod.errors import PatternError, PerceptionError, RodError
 from wrod.options import option
 
 CLOSURE = click.option(
@@ -40,14 +41,12 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 
 
 def method_option():
-    """The method of a plan."""
     return option(
         "neural, numeric, auto or intuitive; with --friction also distilled.", default="auto"
     )
 
 
 def closure_option():
-    """Its closure."""
     return option(
         "zero_tension, min_force or min_friction; default: the most accurate for auto, "
         "zero_tension for other methods."
@@ -68,7 +67,7 @@ class RodOptions:
     @property
     def given(self) -> bool:
         """Whether any of them was given."""
-        return self != RodOptions(None, None, None, None)
+        return self != RodOptions()
 
     def read(self):
         """The `RodMaterial`, or `RodModel`, that they name.
@@ -76,7 +75,6 @@ class RodOptions:
         Raises:
             RodError: none, or more than one is named.
         """
-        from wrod.errors import RodError
         from wrod.rods.catalogue import rod
         from wrod.rods.material import RodMaterial
         from wrod.rods.model_file import load_rod
@@ -108,22 +106,15 @@ class RodOptions:
 class PatternOptions:
     """How a pattern's file, drawing or picture is read."""
 
-    units: str | None = option("Units of a pattern file: m, cm, mm, um or in.", left_out=None)
-    layer: str | None = option(
-        "Layer of an SVG or DXF drawing, by name; default: all seen.", left_out=None
-    )
-    stroke: int | None = option("Which of a drawing's strokes, from 1.", left_out=None)
-    markers: Path | None = option(
-        "A picture's scale: layout of its ArUco markers (JSON).", left_out=None
-    )
-    sheet: str | None = option(
-        "Or the size of the bright sheet drawn on: WIDTHxHEIGHT [m].", left_out=None
-    )
-    scale: float | None = option("Or its metres per pixel, seen from above [m/px].", left_out=None)
-    camera: Path | None = option("Camera matrix and distortion.", left_out=None)
+    units: str | None = option("Units of a pattern file: m, cm, mm, um or in.")
+    layer: str | None = option("Layer of an SVG or DXF drawing, by name; default: all seen.")
+    stroke: int | None = option("Which of a drawing's strokes, from 1.")
+    markers: Path | None = option("A picture's scale: layout of its ArUco markers (JSON).")
+    sheet: str | None = option("Or the size of the bright sheet drawn on: WIDTHxHEIGHT [m].")
+    scale: float | None = option("Or its metres per pixel, seen from above [m/px].")
+    camera: Path | None = option("Camera matrix and distortion.")
     start: str | None = option(
-        "Where a picture's curve begins: X,Y [m], dot, or a corner (default lower-left).",
-        left_out=None,
+        "Where a picture's curve begins: X,Y [m], dot, or a corner (default lower-left)."
     )
 
     @property
@@ -137,7 +128,6 @@ class PatternOptions:
         Raises:
             PatternError, PerceptionError: unknown, unreadable, or an option does not belong to it.
         """
-        from wrod.errors import PatternError
         from wrod.patterns.named import pattern, pattern_names
         from wrod.patterns.pattern import Pattern
 
@@ -173,8 +163,6 @@ def parse_start(text: str) -> str | tuple[float, float]:
 
 def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> tuple[float, ...]:
     """`count` numbers, separated; raises a PerceptionError that names the option."""
-    from wrod.errors import PerceptionError
-
     try:
         numbers = tuple(float(part) for part in text.lower().split(separator))
     except ValueError:
@@ -187,7 +175,6 @@ def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> t
 
 
 def _scanned(path: Path, units: str | None, given: dict):
-    from wrod.errors import PatternError
     from wrod.perception.scan import scan
 
     if units is not None:

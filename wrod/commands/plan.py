@@ -20,7 +20,6 @@ from wrod.commands.options import (
     closure_option,
     method_option,
 )
-from wrod.commands.plan_beyond import beyond_the_grip
 from wrod.commands.plan_pattern import Shaping, fit, shorter, too_long
 from wrod.commands.plan_steps import (
     NO_JOINT_PATH,
@@ -32,7 +31,7 @@ from wrod.commands.plan_steps import (
     solve_grasps_of,
     within_speed,
 )
-from wrod.commands.plan_summary import read_friction, read_range, summary
+from wrod.commands.plan_summary import beyond_the_grip, read_friction, read_range, summary
 from wrod.commands.robot_options import RobotRequest
 from wrod.commands.running import draw_beside
 from wrod.errors import PatternError
@@ -267,13 +266,9 @@ def command(
             written += more
     _say(_figures(trajectory, fitted, joint_path, reason, written))
     if request.view:
-        _view(out / "scene.usdc")
+        from wrod.scene.view import view
 
-
-def _view(scene: Path) -> None:
-    from wrod.scene.view import view
-
-    view(scene)
+        view(out / "scene.usdc")
 
 
 def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[Path]) -> dict:

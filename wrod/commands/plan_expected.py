@@ -6,6 +6,7 @@ from contextlib import contextmanager, suppress
 from threading import Event
 
 from wrod import cost
+from wrod.errors import WrodError, WrodWarning
 from wrod.machine import usable_cores
 
 
@@ -72,8 +73,6 @@ def expecting(
 
 
 def _put(trajectory, expected: Callable[[], dict]) -> None:
-    from wrod.errors import WrodError, WrodWarning
-
     try:
         trajectory.metadata["expected"] = expected()
     except WrodError as error:

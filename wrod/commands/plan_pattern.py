@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from wrod.errors import PatternError, RodError
 from wrod.options import option
 
 if TYPE_CHECKING:  # `wrod --help` lists this command, and needs no rods
@@ -62,7 +63,6 @@ def fit(curve, rod, shaping: Shaping) -> Prepared:
             shorter than the rod is thick.
         RodError: the hold is not on the rod.
     """
-    from wrod.errors import PatternError, RodError
     from wrod.patterns.rounding import round_corners
 
     resize, tolerance, hold = shaping.resize, shaping.tolerance, shaping.hold

@@ -1,11 +1,16 @@
 """The steps of `wrod plan`, each of which leaves something behind: grasps, files, joint path."""
 
+import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import click
+
 from wrod import cost
+from wrod.errors import DataError, RobotError, WrodError
 
 NO_JOINT_PATH = 3  # exit code: the plan stands, the arm cannot follow it
 # Of a correction for a table, where an arm cannot follow all of it.
@@ -66,8 +71,6 @@ def softened(curve, rod, trajectory, start, how, friction, asked: dict):
 def within_speed(request, pace, planned):
     """Of a range of paces [m/s] those that the arm can keep all along the path of what `planned`
     returns, a plan without correction; anything else as it is."""
-    from wrod.errors import RobotError
-
     if not isinstance(pace, tuple) or request.no_robot:
         return pace
     *_, start = planned()
@@ -100,8 +103,6 @@ def save_trajectory(out: Path, trajectory) -> list[Path]:
 
 @contextmanager
 def _writing(out: Path) -> Iterator[None]:
-    from wrod.errors import DataError
-
     try:
         yield
     except OSError as error:
@@ -122,9 +123,6 @@ def arm_steps(request, out: Path, trajectory, curve, rod, planned, shaping, expe
     Returns:
         The `JointPath` or None, the reason or None, the files written, and the trajectory followed.
     """
-    import click
-
-    from wrod.errors import RobotError
     from wrod.robot.remedy import draw_reach
     from wrod.robot.solve import UnreachedError
     from wrod.scene.deliver import deliver
@@ -167,8 +165,6 @@ def _followed(request, trajectory, softer):
     Raises:
         UnreachedError: none was found.
     """
-    import click
-
     from wrod.robot.solve import UnreachedError
 
     try:
@@ -194,10 +190,6 @@ def _followed(request, trajectory, softer):
 
 def _remedy(request, failed, rod, curve, planned, shaping) -> str | None:
     """Options with which the joint path was found, or None."""
-    import time
-
-    import click
-
     from wrod.robot.placement import candidates
     from wrod.robot.remedy import remedies
 
@@ -237,10 +229,6 @@ def _remedy(request, failed, rod, curve, planned, shaping) -> str | None:
 def _room(request, planned, shaping, change: dict, seconds: float) -> float | None:
     """How far from its joints' limits an arm stays with such a change [rad]; None where it finds no
     path in so many `seconds`, within which the command that is printed finds it too."""
-    import warnings
-
-    from wrod.errors import WrodError
-
     shape = {name: change[name] for name in ("resize", "hold", "reverse") if name in change}
     wanted = replace(request, robot=change.get("robot", request.robot))
     try:
@@ -282,8 +270,6 @@ def again(**changes) -> str:
     False of its opposite."""
     import shlex
 
-    import click
-
     context = click.get_current_context()
     words, given = ["wrod", str(context.info_name)], []
     for param in context.command.params:
@@ -316,12 +302,6 @@ def fitting(request, tries, planned, reason) -> str:
         planned: as in `arm_steps`, with `tried`.
         reason: why this is looked for; said at once.
     """
-    import time
-    import warnings
-
-    import click
-
-    from wrod.errors import WrodError
     from wrod.robot.remedy import spins
     from wrod.robot.solve import UnreachedError
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.errors import DataError
 from wrod.options import option, own_options, refuse_idle_options
 
 
@@ -42,7 +43,6 @@ def command(
     that plays in any browser. --moments draws the stages of tying in one .png, from the cameras
     side and close.
     """
-    from wrod.errors import DataError
     from wrod.scene.render import draw_moments, render
     from wrod.scene.validate import open_stage
     from wrod.scene.view import write_page

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
 from wrod.commands.surroundings import refuse_few_addresses
+from wrod.errors import MissingExtraError, RobotError, WrodWarning
 from wrod.options import option
 
 _DEFAULT_ROBOT = "sawyer"
@@ -67,10 +69,6 @@ class RobotRequest:
         Warns:
             WrodWarning: names the extra for an arm.
         """
-        import warnings
-
-        from wrod.errors import MissingExtraError, RobotError, WrodWarning
-
         if self.no_robot:
             self._refuse_ignored()
             return self
@@ -126,8 +124,6 @@ class RobotRequest:
         )
 
     def _refuse_ignored(self) -> None:
-        from wrod.errors import RobotError
-
         given = ["--robot"] * (self.robot != _DEFAULT_ROBOT) + self._given()
         if given:
             raise RobotError(f"--no-robot and {', '.join(given)} exclude each other; drop either")

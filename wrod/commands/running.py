@@ -9,6 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
+from itertools import takewhile
 from pathlib import Path
 
 import click
@@ -81,32 +82,6 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return f"{error} (a warning, which PYTHONWARNINGS makes an error)", REFUSED
     blamed = unsolved(error) or blamed_variables(error)
     return None if blamed is None else (blamed, REFUSED)
-
-
-def equipped(command: click.Command, path: str) -> click.Command:
-    """The command, which refuses before it works where a package is missing.
-
-    Args:
-        path: its name with its group's, such as "bench robot".
-    """
-    run: Callable | None = command.callback
-    needed = _NEEDS.get(path, ())
-    if run is None or not needed:
-        return command
-
-    @functools.wraps(run)
-    def guarded(*args, **kwargs):
-        for module in needed:
-            if find_spec(module) is None:
-                raise MissingExtraError(module)
-        if {"newton", "pxr"} & set(needed):
-            refuse_few_addresses()
-        if "torch" in needed:
-            refuse_little_data()
-        return run(*args, **kwargs)
-
-    command.callback = guarded
-    return command
 
 
 def cut(text: str) -> str:
@@ -210,9 +185,8 @@ def refuse_unwritable(folder: Path) -> None:
     Raises:
         DataError: names what stands in its way.
     """
-    place = Path(os.path.abspath(folder))
-    while not os.path.lexists(place):
-        place = place.parent
+    whole = Path(os.path.abspath(folder))
+    place = next(one for one in (whole, *whole.parents) if os.path.lexists(one))
     if not place.is_dir():
         raise DataError(f"{folder}: cannot be written ({place} is no folder); choose another --out")
     if not os.access(place, os.W_OK | os.X_OK):
@@ -243,12 +217,8 @@ def _read_files(command: click.Command, given: dict) -> list[str]:
 
 def _missing_from(out: Path) -> Path | None:
     """The outermost folder of a path that is not there; None if all are."""
-    missing = None
-    for place in (out, *out.parents):
-        if os.path.lexists(place):
-            break
-        missing = place
-    return missing
+    missing = list(takewhile(lambda one: not os.path.lexists(one), (out, *out.parents)))
+    return missing[-1] if missing else None
 
 
 def _remove_empty(folder: Path) -> None:
@@ -284,15 +254,29 @@ def _prepare(places: dict[str, Path], option: click.Parameter, held: contextlib.
         raise
 
 
-def holding_output(command: click.Command) -> click.Command:
-    """The command, which now holds its --out against other processes while it runs."""
+def holding_output(command: click.Command, path: str = "") -> click.Command:
+    """The command, which refuses before it works where a package is missing, and holds its --out
+    against other processes while it runs.
+
+    Args:
+        path: its name with its group's, such as "bench robot".
+    """
     run: Callable | None = command.callback
-    option = next((option for option in command.params if option.name == "out"), None)
-    if run is None or option is None:
+    needed, holds = _NEEDS.get(path, ()), any(one.name == "out" for one in command.params)
+    if run is None or not (needed or holds):
         return command
 
     @functools.wraps(run)
     def guarded(*args, **kwargs):
+        for module in needed:
+            if find_spec(module) is None:
+                raise MissingExtraError(module)
+        if {"newton", "pxr"} & set(needed):
+            refuse_few_addresses()
+        if "torch" in needed:
+            refuse_little_data()
+        if not holds:
+            return run(*args, **kwargs)
         from wrod.files.writing import locked, protect
 
         protect(_read_files(command, kwargs))

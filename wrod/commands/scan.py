@@ -8,6 +8,7 @@ import click
 
 from wrod import cost
 from wrod.commands.options import SCALE, PatternOptions, parse_numbers, parse_start
+from wrod.errors import PerceptionError
 from wrod.options import FOLDER, gathered, option, own_options, refuse_idle_options
 from wrod.telling import asked, json_option
 
@@ -77,7 +78,6 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.errors import PerceptionError
     from wrod.perception.image import picture_pixels
 
     stems = [image.stem for image in images]

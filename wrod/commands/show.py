@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from wrod.commands.options import DRAWING, PICTURE, UNITS, PatternOptions, RodOptions
+from wrod.errors import PatternError
 from wrod.options import FILE, gathered, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
@@ -28,8 +29,6 @@ def command(
     With a rod also whether it is long enough and what is rounded for it; see `wrod plan`.
     """
     import numpy as np
-
-    from wrod.errors import PatternError
 
     if out is not None and out.suffix.lower() != ".png":
         raise PatternError(f"{out}: is not a .png file name; the picture is a PNG")

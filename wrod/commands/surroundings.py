@@ -21,33 +21,25 @@ _WORDS = (
 )
 
 
+def _refuse_low(kind: int, least: int, need: str, what: str, option: str) -> None:
+    limit = resource.getrlimit(kind)[0]
+    if limit != resource.RLIM_INFINITY and limit < least:
+        raise DataError(
+            f"{need} {least / 2**30:.3g} GiB of {what}, and this process may have "
+            f"{limit / 2**30:.3g} GiB (ulimit {option}); raise that limit"
+        )
+
+
 def refuse_few_addresses() -> None:
     """Refuse a limit of addresses within which OpenUSD crashes, or waits for ever for threads that
-    it did not get.
-
-    Raises:
-        DataError: `ulimit -v` is below that.
-    """
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY and limit < _ADDRESSES:
-        raise DataError(
-            f"scenes need {_ADDRESSES >> 30} GiB of addresses, and this process may have "
-            f"{limit / 2**30:.3g} GiB (ulimit -v); raise that limit"
-        )
+    it did not get: a DataError where `ulimit -v` is below that."""
+    _refuse_low(resource.RLIMIT_AS, _ADDRESSES, "scenes need", "addresses", "-v")
 
 
 def refuse_little_data() -> None:
-    """Refuse a limit of data within which torch ends the process, which no handler hears of.
-
-    Raises:
-        DataError: `ulimit -d` is below that.
-    """
-    limit = resource.getrlimit(resource.RLIMIT_DATA)[0]
-    if limit != resource.RLIM_INFINITY and limit < _DATA:
-        raise DataError(
-            f"torch needs {_DATA / 2**30:.3g} GiB of data, and this process may have "
-            f"{limit / 2**30:.3g} GiB (ulimit -d); raise that limit"
-        )
+    """Refuse a limit of data within which torch ends the process, which no handler hears of: a
+    DataError where `ulimit -d` is below that."""
+    _refuse_low(resource.RLIMIT_DATA, _DATA, "torch needs", "data", "-d")
 
 
 def settle_variables() -> None:

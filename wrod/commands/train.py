@@ -1,61 +1,79 @@
 """`wrod train`: a controller from a dataset, or from nothing with --generate."""
 
+import math
 import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
 
 from wrod import cost
-from wrod.options import FOLDER, USUAL
+from wrod.errors import DataError
+from wrod.options import FOLDER, gathered, option
 from wrod.telling import asked, json_option, tell
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What is trained, on what, and for how long."""
+
+    dataset: Path | None = option("Dataset that `wrod dataset` wrote.", type=FOLDER)
+    generate: int | None = option(
+        "Solve N grasps first; a fifth of them during training, where the network errs most.",
+        metavar="N",
+    )
+    out: Path = option(None, type=FOLDER, required=True)
+    name: str | None = option(
+        "default, paper, or curved for the grasps of one naturally curved rod; default: by the "
+        "dataset.",
+        "--recipe",
+    )
+    seed: int = option(None, default=0)
+    steps: int | None = option("Optimiser steps; default: the recipe's.")
+    batch: int | None = option("Grasps per step (the first).")
+    width: int | None = option("Units of a hidden layer.")
+    sensitivity_weight: float | None = option("Of the derivatives.")
+    minutes: float | None = option("Stop by then.")
+    rows: int | None = option("Most grasps of the dataset to hold.")
+    test: int = option("Fresh random inputs that the result is scored on.", default=2000)
+    device: str = option("cpu, cuda:0 or auto.", default="auto")
+
+    def recipe(self, usual: str):
+        """The recipe named, with the options that were given."""
+        from wrod.training.recipes import recipe as find
+
+        recipe = find(usual if self.name is None else self.name)
+        names = ("steps", "batch", "width", "sensitivity_weight")
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        recipe = replace(recipe, **given)
+        return replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))
+
+    def settle(self, recipe, device: str) -> None:
+        """Say what training takes, with the grasps solved for it and for its test, or refuse it."""
+        from wrod.training.store import row_bytes
+
+        work = cost.training(
+            recipe.steps, recipe.batch, recipe.width, recipe.depth,
+            self.generate or self.rows or 0, device=device,
+        )  # fmt: skip
+        seconds = min(work.seconds, 60.0 * (self.minutes or math.inf))
+        tested = cost.grasps(self.test, 0, self.test, sensitivities=False, device=device, ranks=1)
+        solved = cost.grasps(
+            self.generate or 0, row_bytes(True), 2048, sensitivities=True, device=device, ranks=1
+        )
+        seconds += tested.seconds + solved.seconds
+        memory, disk = max(work.memory, tested.memory), work.disk + solved.disk
+        cost.settle(
+            cost.Cost(seconds, memory, disk), f"{recipe.steps} steps of {recipe.batch} grasps",
+            "give fewer --steps or --test, a smaller --batch or --width, or --minutes",
+        )  # fmt: skip
+
+
 @click.command(name="train", short_help="Train a controller and score it.")
-@click.option(
-    "--dataset",
-    type=FOLDER,
-    help="Dataset that `wrod dataset` wrote.",
-)
-@click.option(
-    "--generate",
-    type=int,
-    metavar="N",
-    help="Solve N grasps first; a fifth of them during training, where the network errs most.",
-)
-@click.option("--out", type=FOLDER, required=True, help=USUAL["out"])
-@click.option(
-    "--recipe",
-    "name",
-    help="default, paper, or curved for the grasps of one naturally curved rod; default: by the "
-    "dataset.",
-)
-@click.option("--seed", default=0, show_default=True, help=USUAL["seed"])
-@click.option("--steps", type=int, help="Optimiser steps; default: the recipe's.")
-@click.option("--batch", type=int, help="Grasps per step (the first).")
-@click.option("--width", type=int, help="Units of a hidden layer.")
-@click.option("--sensitivity-weight", type=float, help="Of the derivatives.")
-@click.option("--minutes", type=float, help="Stop by then.")
-@click.option("--rows", type=int, help="Most grasps of the dataset to hold.")
-@click.option(
-    "--test",
-    default=2000,
-    show_default=True,
-    help="Fresh random inputs that the result is scored on.",
-)
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@gathered("how", _Asked)
 @cost.force_option
 @json_option
-def command(
-    dataset: Path | None,
-    generate: int | None,
-    out: Path,
-    seed: int,
-    minutes: float | None,
-    rows: int | None,
-    test: int,
-    device: str,
-    **settings,
-) -> None:
+def command(how: _Asked) -> None:
     """Train the neural controller and score it against the numeric solver.
 
     From the grasps of one naturally curved rod (`wrod dataset --rod`) it makes a controller for
@@ -64,50 +82,49 @@ def command(
     The same command resumes from the last checkpoint in --out. With equal seed and steps (without
     --minutes) it gives the same weights on the same machine.
     """
-    from wrod.errors import DataError
+    from wrod.files import write_json
     from wrod.rods.device import resolve_device
-    from wrod.training.dataset import GraspTable, load
+    from wrod.training.dataset import GraspTable, generate, load
     from wrod.training.finish import finished
     from wrod.training.loop import Training
     from wrod.training.store import read_manifest
 
-    if (dataset is None) == (generate is None):
+    if (how.dataset is None) == (how.generate is None):
         raise DataError("give either --dataset DIR or --generate N")
-    rod = None if dataset is None else _rod_of(dataset)
-    recipe = _recipe("default" if rod is None else "curved", **settings)
-    device = resolve_device(device)
-    cost.settle(
-        _cost(recipe, generate, rows, minutes, test, device),
-        f"{recipe.steps} steps of {recipe.batch} grasps",
-        "give fewer --steps or --test, a smaller --batch or --width, or --minutes",
-    )  # fmt: skip
-    refine = 0
-    if generate is not None:
-        refine = generate // 5
-        dataset = _generate(out / "dataset", generate - refine, seed, device)
-    table = load(dataset, rows)
+    rod = None if how.dataset is None else _rod_of(how.dataset)
+    recipe, device = how.recipe("default" if rod is None else "curved"), resolve_device(how.device)
+    how.settle(recipe, device)
+    dataset, refine = how.dataset, (how.generate or 0) // 5
+    if dataset is None:
+        dataset, size = how.out / "dataset", how.generate - refine
+        with cost.progress_bar(unit="grasp", desc="grasps", total=size) as bar:
+            generate(dataset, size, seed=how.seed, device=device, progress=cost.counting(bar))
+    table = load(dataset, how.rows)
     training = Training(
         recipe,
         table,
-        seed=seed,
+        seed=how.seed,
         device=device,
-        folder=out,
+        folder=how.out,
         refine=refine,
         solve=lambda inputs: GraspTable.solve(inputs, device, table.sensitivity is not None),
         rod=rod,
     )
     resumed = training.resume()
-    _train(training, resumed, minutes)
+    _train(training, resumed, how.minutes)
     controller = finished(
-        training, dataset, test=test, seed=seed, device=device,
+        training, dataset, test=how.test, seed=how.seed, device=device,
         # With --generate, the dataset is part of the one command.
-        dataset_command=None if generate else read_manifest(dataset).command(dataset),
+        dataset_command=None if how.generate else read_manifest(dataset).command(dataset),
         command="wrod train " + " ".join(_arguments()),
     )  # fmt: skip
-    summary = {k: v for k, v in controller.metadata.items()}
-    written = _write(controller, training, summary, out)
-    summary["resumed"] = resumed
-    summary["written"] = [str(path) for path in written]
+    written = [
+        controller.save(how.out / "controller.safetensors"),
+        write_json(how.out / "controller.json", controller.metadata),
+        training.write_history(how.out / "history.csv"),
+    ]
+    told = {"resumed": resumed, "written": [str(path) for path in written]}
+    summary = controller.metadata | told
     if asked("json"):
         tell(summary)
     else:
@@ -120,7 +137,6 @@ def _rod_of(dataset: Path):
     Raises:
         DataError: it is of one straight rod.
     """
-    from wrod.errors import DataError
     from wrod.training.store import read_manifest
 
     rod = read_manifest(dataset).rod_inputs
@@ -130,43 +146,6 @@ def _rod_of(dataset: Path):
             "those of all; plan with it"
         )
     return rod
-
-
-def _recipe(usual: str, name: str | None, **changes):
-    """The recipe named, with the options that were given."""
-    from dataclasses import replace
-
-    from wrod.training.recipes import recipe as find
-
-    recipe = find(usual if name is None else name)
-    recipe = replace(recipe, **{k: v for k, v in changes.items() if v is not None})
-    recipe = replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))
-    return recipe
-
-
-def _cost(
-    recipe, generate: int | None, rows: int | None, minutes: float | None, test: int, device: str
-):
-    """Of the training, and of the grasps that are solved for it and for its test."""
-    from dataclasses import replace
-
-    from wrod.training.store import row_bytes
-
-    held = generate or rows or 0
-    whole = cost.training(
-        recipe.steps, recipe.batch, recipe.width, recipe.depth, held, device=device
-    )
-    if minutes is not None:
-        whole = replace(whole, seconds=min(whole.seconds, 60.0 * minutes))
-    tested = cost.grasps(test, 0, test, sensitivities=False, device=device, ranks=1)
-    memory, seconds = max(whole.memory, tested.memory), whole.seconds + tested.seconds
-    whole = replace(whole, seconds=seconds, memory=memory)
-    if generate is None:
-        return whole
-    solved = cost.grasps(
-        generate, row_bytes(True), 2048, sensitivities=True, device=device, ranks=1
-    )
-    return replace(whole, seconds=whole.seconds + solved.seconds, disk=whole.disk + solved.disk)
 
 
 def _train(training, resumed: bool, minutes: float | None) -> None:
@@ -180,16 +159,6 @@ def _train(training, resumed: bool, minutes: float | None) -> None:
         if not resumed:
             training.checkpoint()  # says now, not after the training, if it cannot be written
         training.run(minutes=minutes, progress=progress)
-
-
-def _write(controller, training, summary: dict, out: Path) -> list[Path]:
-    from wrod.files import write_json
-
-    return [
-        controller.save(out / "controller.safetensors"),
-        write_json(out / "controller.json", summary),
-        training.write_history(out / "history.csv"),
-    ]
 
 
 def _say(training, summary: dict) -> None:
@@ -207,14 +176,6 @@ def _say(training, summary: dict) -> None:
     click.echo(summary["machine"])
     for path in summary["written"]:
         click.echo(f"wrote {path}")
-
-
-def _generate(folder: Path, size: int, seed: int, device: str) -> Path:
-    from wrod.training.dataset import generate
-
-    with cost.progress_bar(unit="grasp", desc="grasps", total=size) as bar:
-        generate(folder, size, seed=seed, device=device, progress=cost.counting(bar))
-    return folder
 
 
 def _arguments() -> list[str]:
