@@ -3,13 +3,18 @@
 Restartable: a fold that has ended is kept, and so is what one that was stopped has computed.
 """
 
+import time
 from pathlib import Path
 
 import click
+import numpy as np
 
 from wrod import cost, side_by_side
+from wrod.errors import DataError
+from wrod.files import write_json
 from wrod.files.ledger import Ledger
 from wrod.files.row_schemas import FoldRow
+from wrod.machine import machine_line
 from wrod.options import FOLDER, SOURCE_FOLDER, option, own_options
 from wrod.telling import asked, json_option, tell
 
@@ -22,10 +27,6 @@ def fold_row(
     Args:
         out: folder where what is computed is kept until the fold has ended.
     """
-    import time
-
-    import numpy as np
-
     from wrod.identification.effect import Model, effects
     from wrod.identification.motion.data import folds, with_test
     from wrod.identification.motion.fit import MotionLaboratory, errors_of
@@ -80,8 +81,6 @@ def summary(rows: list[dict]) -> dict:
     The shares, the last fit's included, add up to the drop from the base model's error. An effect's
     share is zero in folds where it was not chosen.
     """
-    import numpy as np
-
     weight = np.array([len(r["base_mm"]) for r in rows], dtype=float)
     weight /= weight.sum()
 
@@ -126,14 +125,6 @@ def lines(found: dict) -> list[str]:
     return [*out, f"  {'fit to whole recordings':<26}{found['last_fit_mm']:>7.2f} mm"]
 
 
-def _work(paths, jobs, workers: int) -> cost.Cost:
-    """Of identifying folds; every file is read once."""
-    from wrod.identification.entry import identification_cost
-
-    each = {str(p): identification_cost(p).seconds for p in paths}
-    return cost.Cost(sum(each[job[0]] for job in jobs) / workers)
-
-
 @click.command(name="cables")
 @own_options
 @json_option
@@ -158,10 +149,8 @@ def command(
     Every recording is predicted by a model that has not seen it: neither its fit nor the choice of
     its effects. With --out a run that was stopped goes on.
     """
-    from wrod.errors import DataError
-    from wrod.files import write_json
+    from wrod.identification.entry import identification_cost
     from wrod.identification.motion.loading import is_motion, load_motion
-    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     paths = [p for p in sorted(folder.glob("*.npz")) if is_motion(p)]
@@ -187,7 +176,9 @@ def command(
         (by_stem[stem], k, number, contiguous, device, str(out) if out else None)
         for stem, k in ledger.lacking((stem, k) for k in range(number) for stem in stems)
     ]
-    cost.settle(_work(paths, jobs, workers), f"{len(jobs)} folds", "ask for fewer")
+    each = {str(p): identification_cost(p).seconds for p in paths}  # reads every file once
+    work = cost.Cost(sum(each[job[0]] for job in jobs) / workers)
+    cost.settle(work, f"{len(jobs)} folds", "ask for fewer")
     for _, row in cost.progress_bar(side_by_side.run(fold_row, jobs, workers), total=len(jobs)):
         ledger.add([row])
     rows = ledger.of((stem, k) for stem in stems for k in range(number))

@@ -1,5 +1,6 @@
 """`wrod bench controller`: errors over the whole range, and time of a trajectory."""
 
+import resource
 import subprocess
 import sys
 import time
@@ -8,6 +9,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.machine import machine_line
 from wrod.options import option, own_options
 from wrod.telling import json_option, tell
 
@@ -36,7 +38,6 @@ def command(
     new process with all imports.
     """
     from wrod.controller.controller import SHIPPED, Controller
-    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
     from wrod.training.score import held_out, score
 
@@ -99,7 +100,6 @@ def _warm(controller) -> dict:
 
 def _cold(arguments: list[str]) -> dict:
     """Wall and processor time [s] of a new process that imports, loads and predicts once."""
-    import resource
 
     def processor() -> float:
         usage = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -16,6 +16,7 @@ from wrod import cost
 from wrod.errors import DataError, RodError
 from wrod.files.reading import MAX_JSON, read_text, refuse_depth
 from wrod.files.row_schemas import CosseratRows
+from wrod.machine import machine_line
 from wrod.options import option, own_options
 from wrod.telling import asked, json_option
 
@@ -63,8 +64,6 @@ def command(
     Each is scored by cosseratbench's own metrics, in one run on one machine; times are
     of a processor, after a warm-up, without compiling.
     """
-    from wrod.machine import machine_line
-
     import_module("wrod.kernels")  # before newton, whose Warp would speak before --json does
     if find_spec("cosseratbench") is None:
         raise DataError("this bench needs cosseratbench; run pip install 'wrod[peers]'")
@@ -85,7 +84,10 @@ def command(
                     f"  {row['said']}"
                 )
         if out is not None:
-            _draw(out, rows + drawn)  # after each: some take their time
+            from wrod.bench.cosserat_picture import draw
+
+            # After each: some take their time.
+            draw(out / "peers.png", rows + drawn, _METRICS, machine_line())
     if as_json:
         click.echo(json.dumps({"machine": machine_line(), "rows": rows}))
 
@@ -117,13 +119,6 @@ def _rows_of(path: Path) -> list[dict]:
 def _is_number(value) -> bool:
     """Whether an error is one, or not there; one that diverged may be NaN."""
     return value is None or (isinstance(value, (int, float)) and not abs(value) > 1e300)
-
-
-def _draw(out: Path, rows: list[dict]) -> None:
-    from wrod.bench.cosserat_picture import draw
-    from wrod.machine import machine_line
-
-    draw(out / "peers.png", rows, _METRICS, machine_line())
 
 
 def _adapter(name: str, registry):

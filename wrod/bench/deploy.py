@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import click
 
 from wrod import cost
+from wrod.machine import machine_line
 from wrod.options import option, own_options
 from wrod.telling import json_option, tell
 
@@ -37,7 +38,6 @@ def command(
     from wrod.deployment.plan import plan
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
-    from wrod.machine import machine_line
     from wrod.patterns.named import pattern
     from wrod.planning.tail import tail
     from wrod.rods.catalogue import rod

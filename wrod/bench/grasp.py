@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from wrod import cost
-from wrod.options import SOURCE_FOLDER, option, own_options, refuse_idle_options
+from wrod.machine import machine_line
+from wrod.options import SOURCE_FOLDER, option, own_options, parse_list, refuse_idle_options
 from wrod.telling import asked, json_option, tell
 
 # Calls of which the middle one counts.
@@ -45,7 +46,6 @@ def command(
     """Cold starts over l_s 1..50, |kappa| 0..3.5, k_s 150..15000."""
     from wrod.grasps.inputs import CLOSURES, whole_range
     from wrod.grasps.optimal import solve_grasps
-    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
@@ -142,9 +142,7 @@ def _lines(figures: dict, threads: int) -> Iterator[str]:
 def _compare(
     other: Path, counts: str, closures: tuple[str, ...], device: str, patience: float
 ) -> None:
-    from wrod.bench.grasp_against import compare, head, line
-    from wrod.machine import machine_line
-    from wrod.options import parse_list
+    from wrod.bench.grasp_against import HEAD, compare, line
 
     numbers = [int(n) for n in parse_list(counts, "--counts", 1, 2**30, whole=True)]
     measured = compare(other, numbers, closures, device, patience)
@@ -152,7 +150,7 @@ def _compare(
         tell({"machine": machine_line(device), "rows": list(measured)})
         return
     click.echo(machine_line(device))
-    click.echo(head())
+    click.echo(HEAD)
     for row in measured:
         click.echo(line(row))
 

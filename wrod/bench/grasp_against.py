@@ -12,6 +12,11 @@ import numpy as np
 from wrod.errors import WrodError
 
 CALLS = 5
+# Of the table for people.
+HEAD = (
+    f"{'grasps':>8} {'closure':>13} {'other per s':>12} {'calls':>5} {'converged':>9} "
+    f"{'this per s':>12} {'calls':>5} {'converged':>9} {'times':>6}"
+)
 # A first call that takes longer [s] counts with the others: kernels have been compiled, and what
 # room costs is a hundredth of it.
 _LONG = 20.0
@@ -112,14 +117,6 @@ def _row(workers: dict[str, _Worker], count: int, closure: str, patience: float)
             "converged": warm[name][1],
         }
     return row
-
-
-def head() -> str:
-    """Of the table for people."""
-    return (
-        f"{'grasps':>8} {'closure':>13} {'other per s':>12} {'calls':>5} {'converged':>9} "
-        f"{'this per s':>12} {'calls':>5} {'converged':>9} {'times':>6}"
-    )
 
 
 def line(row: dict) -> str:

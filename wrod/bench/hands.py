@@ -8,6 +8,7 @@ import click
 import numpy as np
 
 from wrod import cost
+from wrod.machine import machine_line
 from wrod.options import FOLDER, SOURCE_FOLDER, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
@@ -45,7 +46,6 @@ def command(
     from wrod.bench import hands_loops, hands_swings
     from wrod.files import write_json
     from wrod.identification.held.measurements import load_held
-    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     if quick:

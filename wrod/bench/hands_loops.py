@@ -130,18 +130,19 @@ def _predict(loops: HangingLoops, fit, posed: dict, sigma: np.ndarray, device: s
         "shape": (loops.shape - fit.residual).mean(axis=0).round(5).tolist(),
         "shape_sigma": sigma[part].round(5).tolist(),
         "critical_twist_deg": {
-            "by_twist_ratio": {
-                f"{r:g}": None if not np.isfinite(a) else float(np.degrees(a).round(1))
-                for r, a in zip(RATIOS, angle, strict=False)
-            },
+            "by_twist_ratio": {f"{r:g}": _degrees(a) for r, a in zip(RATIOS, angle, strict=False)},
             "twist_ratio": posed["twist_ratio"],
-            "expected": None if not np.isfinite(here) else float(np.degrees(here).round(1)),
-            "interval_80_percent": None if not np.isfinite(here) else [
-                float(np.degrees(here * np.exp(q * _EIGHTY * spread)).round(1)) for q in (-1, 1)
-            ],
+            "expected": _degrees(here),
+            "interval_80_percent": None
+            if not np.isfinite(here)
+            else [_degrees(here * np.exp(q * _EIGHTY * spread)) for q in (-1, 1)],
         },
         "shape_at_threshold": shape[len(RATIOS)].round(5).tolist(),
-    }  # fmt: skip
+    }
+
+
+def _degrees(angle: float) -> float | None:
+    return float(np.degrees(angle).round(1)) if np.isfinite(angle) else None
 
 
 def table(figures: dict, predictions: dict) -> str:

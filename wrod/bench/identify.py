@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from wrod import cost, side_by_side
+from wrod.errors import DataError, WrodError
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 from wrod.machine import machine_line
@@ -63,7 +64,6 @@ def _hidden(seeds, noises, only, out, workers, limit, device) -> None:
     from wrod.bench.hidden_noise import NOISES
     from wrod.bench.hidden_sets import cases
     from wrod.bench.hidden_table import examine, lines, summary
-    from wrod.errors import DataError, WrodError
 
     names = list(dict.fromkeys(n for text in only or ("",) for n in _called(text, cases())))
     if not names:
@@ -115,7 +115,6 @@ def _called(text: str, names: Iterable[str]) -> list[str]:
 
 def _measured(folder: Path, limit: float | None, device: str) -> None:
     from wrod.bench.identify_row import row
-    from wrod.errors import DataError
     from wrod.identification.entry import identification_cost
     from wrod.identification.motion.loading import is_motion
 

@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.machine import machine_line
 from wrod.options import option, own_options
 from wrod.telling import json_option, tell
 
@@ -40,7 +41,6 @@ def command(
     from wrod.grasps.manifold.boundary import DIPS, EMPTY, FOLDS, TOUCHES, boundary
     from wrod.grasps.manifold.grips import equilibrium
     from wrod.grasps.optimal import solve_grasps
-    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)

@@ -23,6 +23,7 @@ from wrod.errors import RodError, needed_extras
 from wrod.patterns.pattern import Pattern
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
+from wrod.rods.rotation import carried, unit
 
 # Time constant of the contacts, in time steps.
 _CONTACT_TIME = 2.0
@@ -134,7 +135,9 @@ def chain(
     edges = np.diff(nodes, axis=0)
     length = np.linalg.norm(edges, axis=1) if lengths is None else lengths
     count = len(length)
-    frames = _frames(edges, director)
+    tangent = unit(edges)
+    side = carried(unit(director - (director @ tangent[0]) * tangent[0]), tangent)
+    frames = np.stack([tangent, side, np.cross(tangent, side)], axis=2)
     mass = weight / float(np.linalg.norm(gravity)) * length
     text = _model(length, mass, stiffness, radius, friction, held, hand, step, gravity)
     model = mujoco.MjModel.from_xml_string(text)
@@ -192,15 +195,10 @@ def lay_in_mujoco(
     one = chain(
         setup.position,
         setup.director,
-        stiffness=rod.bending_stiffness * (1.0 + told.lgb_error) ** 3,
-        weight=rod.weight,
-        radius=rod.radius,
-        friction=trial.friction.static,
-        natural_curvature=told.natural_curvature,
         held=setup.schedule.held_nodes - 1,
         step=step,
-        gravity=(0.0, 0.0, -rod.gravity),
         lengths=np.diff(setup.arc_length),
+        **_of(rod, told, trial.friction.static),
     )
     data = one.data
     hand = _hand(setup, one.nodes()[-1])
@@ -234,18 +232,25 @@ def put_down_in_mujoco(
     one = chain(
         told.displaced(place, place[0]) + lift,
         told.turned(np.cross([0.0, 0.0, 1.0], tangent[0])),
-        stiffness=rod.bending_stiffness * (1.0 + told.lgb_error) ** 3,
-        weight=rod.weight,
-        radius=rod.radius,
-        friction=friction,
-        natural_curvature=told.natural_curvature,
         hand=False,
         step=step,
-        gravity=(0.0, 0.0, -rod.gravity),
         lengths=np.diff(s),
+        **_of(rod, told, friction),
     )
     one.step(round(_LYING / one.model.opt.timestep))
     return s, one.nodes() - lift
+
+
+def _of(rod: RodMaterial, told: Disturbance, friction: float) -> dict[str, Any]:
+    """What a chain is told of a disturbed rod and its table."""
+    return {
+        "stiffness": rod.bending_stiffness * (1.0 + told.lgb_error) ** 3,
+        "weight": rod.weight,
+        "radius": rod.radius,
+        "friction": friction,
+        "natural_curvature": told.natural_curvature,
+        "gravity": (0.0, 0.0, -rod.gravity),
+    }
 
 
 def _hand(setup: Setup, begin: np.ndarray):
@@ -263,20 +268,6 @@ def _hand(setup: Setup, begin: np.ndarray):
         return position(t) + apart, turned / np.linalg.norm(turned)
 
     return at
-
-
-def _frames(edges: np.ndarray, director: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) frames without twist, x along the edges."""
-    tangents = edges / np.linalg.norm(edges, axis=1)[:, None]
-    side, before, out = director, tangents[0], []
-    for tangent in tangents:
-        axis = np.cross(before, tangent)
-        side = side + np.cross(axis, side) + (axis @ side) / (1.0 + before @ tangent) * axis
-        side = side - (side @ tangent) * tangent
-        side = side / np.linalg.norm(side)
-        out.append(np.column_stack([tangent, side, np.cross(tangent, side)]))
-        before = tangent
-    return np.array(out)
 
 
 def _wxyz(rotation: Rotation) -> np.ndarray:

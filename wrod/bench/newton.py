@@ -2,10 +2,12 @@
 
 import json
 import warnings
+from importlib import import_module
 
 import click
 
 from wrod import cost
+from wrod.machine import machine_line
 from wrod.options import option, own_options, refuse_idle_options
 from wrod.telling import asked, json_option
 
@@ -24,8 +26,6 @@ def command(
     """SolverDER's coupling with free bodies and an arm against closed forms and statics, and a
     pile, on the CPU. With --many: lines of JSON, as they come.
     """
-    from importlib import import_module
-
     # Before newton, which starts Warp: its banner would be the first line of --json.
     import_module("wrod.kernels")
     if bodies:
@@ -42,7 +42,6 @@ def command(
 
 def _measure_bodies() -> None:
     from wrod.bench.newton_bodies import measure
-    from wrod.machine import machine_line
 
     cost.settle(cost.Cost(cost.NEWTON_BODIES), "all scenes")
     if asked("json"):
@@ -57,7 +56,6 @@ def _measure_bodies() -> None:
 
 def _measure_many(device: str, worlds: int, cables: int, edges: int) -> None:
     from wrod.bench.newton_many import measure
-    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)

@@ -7,6 +7,8 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.errors import DataError, WrodError
+from wrod.machine import machine_line
 from wrod.options import FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
@@ -31,9 +33,7 @@ def command(
     import cv2
     import numpy as np
 
-    from wrod.errors import DataError, WrodError
     from wrod.files import read_json
-    from wrod.machine import machine_line
     from wrod.perception.image import read_image
     from wrod.perception.score import finite_mean, score_paths
     from wrod.perception.trace import trace_centerlines

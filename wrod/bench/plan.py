@@ -6,7 +6,10 @@ from typing import Any
 
 import click
 
+import wrod
 from wrod import cost
+from wrod.errors import PatternError
+from wrod.machine import machine_line
 from wrod.options import SOURCE_FOLDER, option, own_options
 from wrod.telling import json_option, tell
 
@@ -23,9 +26,6 @@ def command(
     device: str = option("cpu, cuda:0 or auto.", default="auto"),
 ) -> None:
     """Plan every pattern for the paper's rods 1 to 3, at a node every 2.5 mm."""
-    import wrod
-    from wrod.errors import PatternError
-    from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)

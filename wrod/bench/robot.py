@@ -1,14 +1,18 @@
 """`wrod bench robot`: joint paths for the seven patterns and rods 1 to 3, of one arm or of all."""
 
+import tempfile
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 
+import wrod
 from wrod import cost
 from wrod.bench.table3_paper import PATTERNS, RODS, patterns_option, read_pattern
+from wrod.errors import RobotError, WrodError, WrodWarning
 from wrod.machine import machine_line
 from wrod.options import FOLDER, option, own_options
 from wrod.telling import json_option, tell
@@ -34,7 +38,6 @@ def command(
     Cases of one run may be shared out by --robots and --rods to processes with folders of their
     own; lines of their arms.jsonl below the first may be put into one file.
     """
-    from wrod.errors import RobotError
     from wrod.files.ledger import Ledger
     from wrod.planning.sources import SOURCES
     from wrod.robot.model import ROBOTS
@@ -120,7 +123,6 @@ def against_finer(path, curve, rod, method: str, trajectory) -> dict:
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import Rotation, RotationSpline
 
-    import wrod
     from wrod.robot.kinematics import grasp_poses
 
     fine = wrod.plan(curve, rod, method=method, spacing=trajectory.arc_length[1] / 10)
@@ -152,12 +154,8 @@ def run_case(
     The rod's shapes are computed, as `wrod plan` does: what hangs is in the arm's way.
     With `scene`, its USD scene is written and asked of OpenUSD's validators too.
     """
-    import warnings
-
     import numpy as np
 
-    import wrod
-    from wrod.errors import WrodError, WrodWarning
     from wrod.planning.shapes import with_shapes
 
     row: dict[str, Any] = {"robot": robot, "pattern": pattern, "rod": rod_name}
@@ -198,9 +196,6 @@ def run_case(
 
 def _scene_faults(trajectory, path, curve, rod) -> list[str]:
     """What OpenUSD's validators say of the scene, nothing where it is in order."""
-    import tempfile
-
-    import wrod
     from wrod.scene.validate import validation_errors
 
     with tempfile.TemporaryDirectory() as folder:

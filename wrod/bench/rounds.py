@@ -3,11 +3,13 @@
 import time
 from collections import Counter
 from collections.abc import Iterator
+from itertools import cycle, islice, product
 
 import click
 
 from wrod import cost
-from wrod.options import option, own_options
+from wrod.machine import machine_line
+from wrod.options import option, own_options, parse_list
 from wrod.telling import json_option, tell
 
 # Simulated seconds after which a batch is looked at, and that it is timed for.
@@ -38,19 +40,14 @@ def command(
     simulations take them, on a GPU of a graph. A CPU takes a few seconds for ten rods.
     """
     import wrod.kernels  # noqa: F401  # starts Warp quietly
-    from wrod.machine import machine_line
-    from wrod.options import parse_list
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
     numbers = [int(count) for count in parse_list(counts, "--rods", 1, 100_000, whole=True)][::-1]
     # Of a plan of each cell, then a length that is laid in five seconds.
     laid = cost.deployments(sum(numbers), 0.1, speed=0.02, step=_STEP, spacing=5e-4, device=device)
-    knotted = cost.Cost(knots * cost.APPLICATION["trefoil"], 1e7 * knots)
-    bent = cost.Cost(cost.BEND * reefs, 2e7 * reefs)
-    work = cost.Cost(
-        laid.seconds + knotted.seconds + bent.seconds, laid.memory + knotted.memory + bent.memory
-    )
+    seconds = laid.seconds + knots * cost.APPLICATION["trefoil"] + cost.BEND * reefs
+    work = cost.Cost(seconds, laid.memory + 1e7 * knots + 2e7 * reefs)
     what = f"{sum(numbers)} deployments and {knots + reefs} knots"
     cost.settle(work, what, "ask for fewer --rods, --knots or --reefs")
     rows = [_deployments(count, rounds, device) for count in numbers]
@@ -79,8 +76,6 @@ def _lines(row: dict) -> Iterator[str]:
 
 def _deployments(count: int, rounds: int, device: str) -> dict:
     """Those of table 3, by its command's defaults."""
-    from itertools import cycle, islice, product
-
     from wrod.bench.table3 import _plans, _trial
     from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, read_pattern
     from wrod.deployment.assembly import assemble

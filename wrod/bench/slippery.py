@@ -24,12 +24,14 @@ from wrod.bench.slippery_report import (
     told,
     write_csv,
 )
+from wrod.deployment.bounds import refuse_coarse_edges, refuse_long_moves
 from wrod.errors import RodError
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 from wrod.machine import machine_line
-from wrod.options import gathered, option, own_options
+from wrod.options import gathered, option, own_options, parse_list
 from wrod.planning.hold import held_near
+from wrod.planning.trajectory import Trajectory
 from wrod.telling import json_option, tell
 
 ENGINES = ("wrod", "mujoco")
@@ -104,7 +106,6 @@ def command(
     on from there.
     """
     from wrod.bench.mujoco_chain import require_mujoco
-    from wrod.options import parse_list
     from wrod.rods.device import resolve_device
 
     out = common.out
@@ -196,8 +197,6 @@ class Shelf:
 
     def refuse(self, places: Iterable[tuple[str, str]], common: campaign.Common) -> None:
         """Refuse (rod, pattern) that are none, or cannot be laid so, before anything is written."""
-        from wrod.deployment.bounds import refuse_coarse_edges, refuse_long_moves
-
         refuse_long_moves(common.speed, common.step)
         refuse_coarse_edges([self.course(*place)[1] for place in places], common.spacing)
 
@@ -239,7 +238,6 @@ class Shelf:
     def plan(self, rod_name: str, name: str, friction: float, method: str):
         """The trajectory of that method; friction counts for those that are corrected alone."""
         from wrod.deployment.plan import plan
-        from wrod.planning.trajectory import Trajectory
 
         path = self.place(rod_name, name, friction, method)
         if not path.exists() and method in _OPTIMISED:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod import files
+from wrod.files import write_figure
 
 KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
 # A rod that is put down exactly where a robot that stands elsewhere, and does not know it, has the
@@ -121,8 +122,6 @@ def draw(path: Path, rows: list[dict], course: Callable, methods: tuple[str, ...
         course: gives pattern and rod by their names.
     """
     from matplotlib.figure import Figure
-
-    from wrod.files import write_figure
 
     places = list(dict.fromkeys((r["rod"], r["pattern"]) for r in rows))
     mus = sorted({r["friction"] for r in rows})

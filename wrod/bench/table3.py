@@ -9,7 +9,8 @@ import click
 
 from wrod import cost
 from wrod.bench import campaign, courses
-from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
+from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, read_pattern
+from wrod.files import row_schemas, write_text
 from wrod.files.ledger import Ledger
 from wrod.machine import machine_line
 from wrod.options import gathered, option, refuse_idle_options
@@ -40,19 +41,15 @@ class _Asked:
     )
 
     def check(self) -> None:
-        from wrod.errors import RodError
-        from wrod.grasps.inputs import CLOSURES
+        from wrod.grasps.inputs import closure_number
 
-        if self.closure is not None and self.closure not in CLOSURES:
-            known = ", ".join(CLOSURES)
-            raise RodError(f"unknown closure {self.closure!r:.60}; use one of {known}")
+        if self.closure is not None:
+            closure_number(self.closure)
         if not self.known_table:
             refuse_idle_options("plans for no table in particular", "workers")
 
     def cells(self, patterns: Path | None) -> tuple[tuple[str, ...], tuple[str, ...], dict]:
         """Rods, substrates and curves, in the table's own order."""
-        from wrod.bench.table3_paper import read_pattern
-
         rods = tuple(name for name in RODS if name in (self.rods or RODS))
         substrates = tuple(name for name in SUBSTRATES if name in (self.substrates or SUBSTRATES))
         names = [name for name in PATTERNS if name in (self.names or PATTERNS)]
@@ -78,7 +75,6 @@ def command(asked: _Asked, common: campaign.Common) -> None:
     """
     from wrod.bench.table3_report import KEYS
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
-    from wrod.files import row_schemas
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
     from wrod.solvers.compiling import compile_steps
@@ -147,7 +143,6 @@ def command(asked: _Asked, common: campaign.Common) -> None:
 def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str], list[Path]]:
     """What the rows say, and the files written of them."""
     from wrod.bench.table3_report import cells, draw, markdown, summary, write_csv
-    from wrod.files import write_text
 
     table = cells(rows)
     head = (
@@ -194,7 +189,6 @@ def _corrected_plans(
 ) -> dict:
     """(rod, substrate, pattern, "numeric") -> the same as `_plans`, corrected for the table and the
     pace [m/s] at which they are laid."""
-    from wrod.bench.table3_paper import friction
     from wrod.planning.tail import tail
     from wrod.planning.trajectory import Trajectory
 
@@ -235,7 +229,6 @@ def _plan_of(key: tuple, plans: dict) -> tuple:
 
 def _trial(key: tuple, plans: dict):
     """INT and OPT meet the same disturbances, every cell others."""
-    from wrod.bench.table3_paper import friction
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial
     from wrod.solvers.friction import Friction

@@ -4,6 +4,7 @@ Tong, Choi, Qin, Huang, Joo, Jawed: Sim2Real neural controllers for physics-base
 deployment of deformable linear objects, Table 3 (ten trials a cell).
 """
 
+from itertools import product
 from pathlib import Path
 
 import click
@@ -49,14 +50,12 @@ def friction(rod: str, substrate: str) -> float:
 
 def measured() -> dict[tuple[str, str, str, str], tuple[float, float]]:
     """(rod, substrate, pattern, method) -> e_mean, sigma [cm]."""
-    rows = [[float(x) for x in line.split()] for line in _ROWS.split("\n") if line]
     table = {}
-    for r, rod in enumerate(RODS):
-        for u, substrate in enumerate(SUBSTRATES):
-            for m, method in enumerate(METHODS):
-                row = rows[6 * r + 2 * u + m]
-                for p, name in enumerate(PATTERNS):
-                    table[rod, substrate, name, method] = (row[2 * p], row[2 * p + 1])
+    for cell, line in zip(product(RODS, SUBSTRATES, METHODS), _ROWS.split("\n")[1:-1], strict=True):
+        rod, substrate, method = cell
+        numbers = [float(x) for x in line.split()]
+        for name, mean, spread in zip(PATTERNS, numbers[::2], numbers[1::2], strict=True):
+            table[rod, substrate, name, method] = (mean, spread)
     return table
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.errors import GraspError
+from wrod.machine import machine_line
 from wrod.options import FILE, SOURCE_FOLDER, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
@@ -45,7 +47,6 @@ def cell(curve, rod, controller, device: str, nodes: int) -> dict:
     import numpy as np
     from scipy.spatial.transform import Rotation
 
-    from wrod.errors import GraspError
     from wrod.grasps.optimal import solve_grasps
 
     s = np.linspace(0.0, curve.length, nodes)
@@ -97,7 +98,6 @@ def command(
     Both solve the controller's closure; the paper's figures are those of no tension."""
     from wrod.controller.controller import Controller
     from wrod.grasps.optimal import solve_grasps
-    from wrod.machine import machine_line
     from wrod.patterns.pattern import Pattern
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
