@@ -6,11 +6,18 @@ from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from scipy.stats import binomtest
 
 from wrod import telling
 from wrod.bench.applications_trials import METHODS, SHORT, cable_scene, knot_plan
+from wrod.deployment.picture import draw_fixtures
 from wrod.files import write_figure
 from wrod.files.pictures import FAINT, INK, MUTED
+from wrod.knots.trials import STILL
 
 # Tong et al., the success table: successes of ten trials.
 PAPER = {
@@ -44,8 +51,6 @@ def table(rows: list[dict]) -> dict[tuple[str, str], dict]:
 
 def success_interval(successes: int, trials: int) -> tuple[float, float]:
     """Wilson's 95 % interval of a rate of success."""
-    from scipy.stats import binomtest
-
     found = binomtest(int(successes), int(trials)).proportion_ci(0.95, method="wilson")
     return float(found.low), float(found.high)
 
@@ -64,8 +69,6 @@ def markdown(cells: dict) -> str:
 
 def draw(path: Path, rows: list[dict]) -> Path:
     """Write a PNG: all cables, and knots of each method at several stages."""
-    from matplotlib.figure import Figure
-
     cells = table(rows)
     cases = list(dict.fromkeys(case for case, _ in cells))
     cables = [case for case in cases if case.endswith("cable")]
@@ -96,8 +99,6 @@ def _score(cell: dict) -> str:
 
 
 def _cables(axes, case: str, method: str, rows: list[dict], cell: dict) -> None:
-    from wrod.deployment.picture import draw_fixtures
-
     pattern, fixtures = cable_scene(case)
     draw_fixtures(axes, fixtures)
     target = pattern.sample(np.linspace(0.0, pattern.length, 300))[0]
@@ -165,8 +166,6 @@ def tightest(rods: list[np.ndarray]) -> np.ndarray:
 
 def _shown(row: dict, stage: str, wanted: str) -> str:
     """The knot at a stage; a tight one is still there if some closures show it."""
-    from wrod.knots.trials import STILL
-
     name, _, share = row["knots"].get(stage, ["", 0.0, 0.0])
     return wanted if stage == "pulled" and share >= STILL else name
 
@@ -174,8 +173,6 @@ def _shown(row: dict, stage: str, wanted: str) -> str:
 def woven(axes, rods, radii, colors, width: float = 900) -> None:
     """Rods from above, upper strands drawn over lower ones with a white edge; `width` points per
     metre of radius."""
-    from matplotlib.collections import LineCollection
-
     pieces = []
     for rod, radius, color in zip(rods, radii, colors, strict=True):
         for a, b in pairwise(rod):
@@ -203,8 +200,6 @@ def woven(axes, rods, radii, colors, width: float = 900) -> None:
 def draw_cables(path: Path, rows: list[dict]) -> Path | None:
     """Write a PNG: the first trial of INT and OPT over time, from above, and the ways of all trials
     to the first gate that INT misses, across it. None if there are no cables."""
-    from matplotlib.figure import Figure
-
     rows = [row for row in rows if row.get("ways")]
     cases = list(dict.fromkeys(row["case"] for row in rows))
     if not cases:
@@ -240,8 +235,6 @@ def _first_missed(rows: list[dict]) -> int:
 
 
 def _above(axes, case: str, method: str, rows: list[dict], gate: int) -> None:
-    from wrod.deployment.picture import draw_fixtures
-
     pattern, fixtures = cable_scene(case)
     target = pattern.sample(np.linspace(0.0, pattern.length, 300))[0]
     draw_fixtures(axes, fixtures)
@@ -269,9 +262,6 @@ def _above(axes, case: str, method: str, rows: list[dict], gate: int) -> None:
 
 
 def _across(axes, case: str, mine: dict, gate: int) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Rectangle
-
     _, fixtures = cable_scene(case)
     by_name = {item.name: item for item in fixtures.items}
     left, right = (by_name[name] for name in fixtures.gates[gate])

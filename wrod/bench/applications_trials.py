@@ -8,13 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
+import wrod.scenes
 from wrod.bench.table3_paper import FRICTION
 from wrod.deployment.fixtures import Fixtures
+from wrod.deployment.gates import design_gates
+from wrod.deployment.plan import plan
 from wrod.deployment.setup import DEVIATIONS, Disturbance
+from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
 from wrod.errors import WrodWarning
+from wrod.knots.plan import KnotPlan
+from wrod.knots.trials import Handling
+from wrod.knots.tying import tie
 from wrod.patterns.pattern import Pattern
+from wrod.planning.tail import tail
 from wrod.rods.catalogue import rod
 from wrod.rods.material import RodMaterial
+from wrod.solvers.friction import Friction
 from wrod.telling import table
 
 METHODS = ("intuitive", "neural")
@@ -39,8 +48,6 @@ _SEED = {"S cable": 41_000, "U cable": 42_000}
 
 def folder() -> Path:
     """Where the shipped scenes are."""
-    import wrod.scenes
-
     return Path(wrod.scenes.__file__).parent
 
 
@@ -53,8 +60,6 @@ def believed(cable: RodMaterial) -> RodMaterial:
 def plan_cable(pattern: Pattern, cable: RodMaterial, method: str):
     """OPT is `wrod.plan`'s default, which in bends asks for the least friction (min_friction), with
     the allowance for L_gb; INT goes by the pattern alone."""
-    from wrod.deployment.plan import plan
-
     if method == "intuitive":
         return plan(pattern, cable, "intuitive")
     return plan(pattern, believed(cable), "auto")
@@ -62,8 +67,6 @@ def plan_cable(pattern: Pattern, cable: RodMaterial, method: str):
 
 def gates(pattern: Pattern) -> Fixtures:
     """The scene along a pattern, as shipped in scenes/cable."""
-    from wrod.deployment.gates import design_gates
-
     scene = design_gates(pattern, believed(rod("cable")), pitch=PITCH)
     note = (
         "Pairs of posts by wrod.deployment.gates.design_gates for rod 'cable', OPT's plan: "
@@ -164,16 +167,10 @@ def cable_scene(case: str):
 
 def knot_plan(case: str):
     """Plan of "trefoil" or "reef"."""
-    from wrod.knots.plan import KnotPlan
-
     return KnotPlan.load_plan(folder() / "knots" / f"{case}.json")
 
 
 def _cable(case, method, trials, device, folder):
-    from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
-    from wrod.planning.tail import tail
-    from wrod.solvers.friction import Friction
-
     pattern, fixtures = cable_scene(case)
     material = rod("cable")
     trajectory = plan_cable(pattern, material, method)
@@ -272,9 +269,6 @@ def _stage(folder: Path | None, rows: list[dict], films: Iterable[dict]) -> list
 
 
 def _knot(case, method, trials, device, folder):
-    from wrod.knots.trials import Handling
-    from wrod.knots.tying import tie
-
     knot = knot_plan(case)
     clock = time.process_time()
     results = tie(

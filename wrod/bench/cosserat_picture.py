@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from wrod.files import write_figure
 
@@ -24,8 +25,6 @@ def draw(path: str | os.PathLike[str], rows: list[dict], metrics: dict, machine:
         metrics: (experiment: name of its error).
         machine: what they were measured on.
     """
-    from matplotlib.figure import Figure
-
     names = list(dict.fromkeys(row["experiment"] for row in rows))
     across = min(3, len(names))
     figure = Figure(figsize=(4.6 * across, 3.9 * -(-len(names) // across)), layout="constrained")

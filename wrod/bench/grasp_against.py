@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import WrodError
+from wrod.grasps.inputs import whole_range
 
 CALLS = 5
 # Of the table for people.
@@ -79,8 +80,6 @@ def compare(
     Raises:
         WrodError: the folder is no checkout, or a process ended early.
     """
-    from wrod.grasps.inputs import whole_range
-
     if not (other / "wrod" / "__init__.py").is_file():
         raise WrodError(f"{other}: is no checkout of wrod, which has a folder wrod; give another")
     here = Path(__file__).resolve().parents[2]

@@ -2,6 +2,8 @@
 
 import time
 
+from wrod.identification import identify
+
 
 def row(data, device: str, seconds: float | None = None) -> dict:
     """One set, a file or measurements: what `wrod identify` says of it, and what that cost.
@@ -9,8 +11,6 @@ def row(data, device: str, seconds: float | None = None) -> dict:
     Args:
         seconds: after which its search ends, as in `identify_clamped`.
     """
-    from wrod.identification import identify
-
     clock, cpu = time.perf_counter(), time.process_time()
     report = identify(data, device=device, seconds=seconds)
     content = report.to_dict()

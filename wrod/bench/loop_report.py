@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from wrod import files, telling
 from wrod.files import write_figure
@@ -175,8 +177,6 @@ def mean_error(rows: list[dict], effect: str, controller: str, plan: str) -> flo
 def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
     """Curves laid by the last controller before and after, for every effect and pattern, and the
     errors of all controllers as bars."""
-    from matplotlib.figure import Figure
-
     effects = [effect for effect in _values(rows, "effect") if effect != "none"]
     cell, count = _cells(rows), len(patterns)
     shown = _values(rows, "controller")[-1]
@@ -241,8 +241,6 @@ def _draw_bars(axes, cell: dict, effect: str, name: str, highest: float) -> None
 
 
 def _draw_legend(figure, shown: str, columns: int) -> None:
-    from matplotlib.lines import Line2D
-
     figure.legend(
         handles=[
             Line2D([], [], color="#0b5fa5", lw=4, alpha=0.35, label="pattern"),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from wrod.errors import GraspError
 from wrod.files import write_figure
@@ -246,8 +247,6 @@ def _row(name: str, seen: SeenWave) -> dict:
 
 def _draw(lines: dict, seen: dict[str, SeenWave], rows: dict[str, dict], path: Path) -> Path:
     """The lines with the wave each is nearest to; and that wave beside the rod's own mode."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(11.0, 1.9 * len(lines) + 0.4))
     grid = figure.add_gridspec(len(lines), 2, width_ratios=(1.25, 1.0))
     plane = figure.add_subplot(grid[:, 1])

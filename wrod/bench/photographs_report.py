@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from wrod.bench.photographs_deployments import Deployments, scenarios_of
@@ -197,8 +198,6 @@ def _practice(out: Path, data: Path) -> str:
 def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) -> list[Path]:
     """A picture per rod: above the photographs and what the other pictures predict of them, below
     the predicted optimal deployments."""
-    from matplotlib.figure import Figure
-
     written = []
     for verdict in verdicts:
         own = [p for p in photographs if p.rod == verdict.rod]
@@ -242,8 +241,6 @@ def draw_lines(
 ) -> list[Path]:
     """The straight lines, stretched across: seen, and in scenarios where the rod was hung over the
     line with little and with more excess."""
-    from matplotlib.figure import Figure
-
     lines = [p for p in photographs if p.pattern_name == "line"]
     if not lines:
         return []

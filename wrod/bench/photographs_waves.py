@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_irregular import (
@@ -307,8 +308,6 @@ def _height(curve: np.ndarray) -> float:
 
 
 def _draw(photograph: LaidPhotograph, lines: dict[str, Alignment | None], path: Path) -> Path:
-    from matplotlib.figure import Figure
-
     rows = -(-len(lines) // 3)
     figure = Figure(figsize=(11.0, 1.9 * rows))
     axes = figure.subplots(rows, 3, sharex=True, sharey=True)

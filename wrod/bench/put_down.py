@@ -7,6 +7,7 @@ trials of a plan; nothing shakes it.
 
 import numpy as np
 
+from wrod.deployment.left_alone import left_alone
 from wrod.rods.model import RodModel
 
 # Seconds that the rods are left to themselves.
@@ -27,8 +28,6 @@ def put_down(
         For each rod its nodes' arc length (node,) and position (node, 3) [m], whether it diverged,
         and its time steps.
     """
-    from wrod.deployment.left_alone import left_alone
-
     patterns, believed, friction, disturbances = zip(*courses, strict=True)
     lengths = np.array([p.length + p.remainder_length for p in patterns])
     arc_length = np.linspace(0.0, lengths, node_count, axis=1)

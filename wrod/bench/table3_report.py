@@ -6,6 +6,8 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from wrod import files, telling
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
@@ -127,9 +129,6 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
         rows: of the ledger.
         patterns: name -> pattern; those that lack leave their panels empty.
     """
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
     colors = {"intuitive": "#c2533c", "numeric": "#2f8f5b"}
     figure = Figure(figsize=(14.0, 6.6), facecolor="white")
     axes = figure.subplots(len(RODS), len(PATTERNS))
