@@ -9,8 +9,7 @@ import warp as wp
 from chosen import DEVICE
 
 import wrod
-from wrod.bench.newton_bodies import TwoLinkArm
-from wrod.bench.newton_lag import Slider, period_and_rate, trembles
+from wrod.bench.newton_bodies import Slider, TwoLinkArm, period_and_rate, trembles
 from wrod.errors import WrodWarning
 
 SolverDER = wrod.SolverDER
@@ -138,7 +137,7 @@ def test_rods_go_on_where_another_solver_has_moved_bodies(told):
 )
 def test_the_load_of_the_step_before(ratio, scheme, late, relaxation):
     """A slider on a spring swings with all of its cable: w^2 = k / (M + m); a step that the load is
-    late damps by m / (M + m) w^2 h / 2 (see `wrod.bench.newton_lag`)."""
+    late damps by m / (M + m) w^2 h / 2 (see `wrod.bench.newton_bodies`)."""
     period, rate = period_and_rate(Slider(ratio, scheme, relaxation).run(480))
     assert period == pytest.approx(1.0, abs=1e-3)
     expected = late * ratio / (1.0 + ratio) * (2.0 * np.pi) ** 2 / 240 / 2.0

@@ -7,8 +7,7 @@ from functools import cache, partial
 import numpy as np
 import warp as wp
 
-from wrod.bench.newton_armed import ArmedDer, ArmedVbd
-from wrod.bench.newton_held import CABLE, HeldDer, HeldVbd
+from wrod.bench.newton_held import CABLE, ArmedDer, ArmedVbd, HeldDer, HeldVbd
 from wrod.bench.newton_piles import piles
 
 _WARM_UP = 4  # steps that compile and record
