@@ -7,8 +7,12 @@ from pathlib import Path
 
 import click
 
-from wrod.bench.loop_trials import CONTROLLERS, EFFECTS
 from wrod.options import FOLDER, SOURCE_FOLDER, option
+
+# Who makes the plan: the trained network, the rod solver with the same closure, or what `wrod plan`
+# does when nothing else is said.
+CONTROLLERS = ("network", "numeric", "default")
+EFFECTS = ("natural_curvature", "stiffness", "varied")
 
 
 @dataclass

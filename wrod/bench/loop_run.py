@@ -6,17 +6,9 @@ from typing import Any
 
 from wrod import cost
 from wrod.bench.loop_measurements import clamped_experiment
-from wrod.bench.loop_options import Loop
+from wrod.bench.loop_options import EFFECTS, Loop
 from wrod.bench.loop_report import draw, markdown, summary, write_csv
-from wrod.bench.loop_trials import (
-    EFFECTS,
-    Case,
-    own_bend,
-    row,
-    trials_along,
-    varied_rod,
-    with_length,
-)
+from wrod.bench.loop_trials import Case, own_bend, row, trials_along, varied_rod, with_length
 from wrod.bench.table3_paper import PATTERNS, read_pattern
 from wrod.deployment.bounds import refuse_coarse_edges, refuse_long_moves
 from wrod.deployment.discretisation import Discretisation

@@ -6,16 +6,21 @@ from typing import Any
 import numpy as np
 
 from wrod.bench.campaign import figures_of
+from wrod.bench.put_down import put_down
+from wrod.deployment.optimise import optimise
+from wrod.deployment.plan import plan
+from wrod.deployment.result import deployment_error
+from wrod.deployment.setup import Disturbance
+from wrod.deployment.simulate import Trial, with_remainder_of
 from wrod.errors import DataError
+from wrod.patterns.pattern import Pattern
+from wrod.patterns.shapes import straight, strokes
+from wrod.planning.tail import tail
 from wrod.rods.law import Softening
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 
-# Who makes the plan: the trained network, the rod solver with the same closure, or what `wrod plan`
-# does when nothing else is said.
-CONTROLLERS = ("network", "numeric", "default")
-EFFECTS = ("natural_curvature", "stiffness", "varied")
 # Edges of a rod that is put down exactly, per L_gb.
 _PUT_DOWN = 12.0
 
@@ -38,9 +43,6 @@ def own_bend(cable: RodModel | RodMaterial):
     """A pattern that a cable can be laid along which is a few L_gb long: as much as leaves 1.5 L_gb
     hanging, straight for 1.25 L_gb, then bent by up to 0.2 / L_gb, which the friction of so little
     of it holds."""
-    from wrod.patterns.pattern import Pattern
-    from wrod.patterns.shapes import straight, strokes
-
     lgb = cable.gravito_bending_length
     first, bend = 1.25 * lgb, 0.2 / lgb
     rest = cable.length - 1.5 * lgb - first
@@ -72,10 +74,6 @@ def trials_along(
     `law` is the table's `Friction`, `hold` the length of the free end that is held at first [m].
     Where that friction is `known`, new plans are corrected for it. All cases believe in one rod.
     """
-    from wrod.deployment.optimise import optimise
-    from wrod.deployment.plan import plan
-    from wrod.deployment.simulate import Trial, with_remainder_of
-    from wrod.planning.tail import tail
 
     def trial(rod, model, controller, network=None, roll="plane"):
         method = {"network": "neural", "numeric": "numeric", "default": "auto"}[controller]
@@ -130,10 +128,6 @@ def _expected_best(rivals: dict, model, law, hold: float):
 def _springs(trials: list) -> list[float]:
     """e_mean [cm] of rods that are put down exactly on their patterns, rolled as they are held, and
     let go; infinite where one diverged."""
-    from wrod.bench.put_down import put_down
-    from wrod.deployment.result import deployment_error
-    from wrod.deployment.setup import Disturbance
-
     jobs = [
         (t.pattern, RodModel.of(t.rod).turned(t.trajectory.roll), t.friction, Disturbance())
         for t in trials

@@ -9,13 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from wrod.bench.photographs_deployments import Deployments
-from wrod.bench.photographs_irregular import (
-    LAID,
-    bends,
-    irregular,
-    scatter,
-    scatter_table,
-)
+from wrod.bench.photographs_irregular import LAID, bends, irregular, scatter, scatter_table
 from wrod.bench.photographs_judge import Verdict
 from wrod.bench.photographs_mode import seen_wave
 from wrod.deployment.discretisation import Discretisation

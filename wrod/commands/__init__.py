@@ -11,14 +11,7 @@ import click
 
 from wrod import __version__
 from wrod.commands.bounds import bounded
-from wrod.commands.running import (
-    INTERRUPTED,
-    REFUSED,
-    cut,
-    holding_output,
-    interruptible,
-    stop,
-)
+from wrod.commands.running import INTERRUPTED, REFUSED, cut, holding_output, interruptible, stop
 from wrod.commands.surroundings import open_streams, settle_variables
 from wrod.errors import WrodWarning
 
