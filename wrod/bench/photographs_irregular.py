@@ -8,16 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wrod.bench.photographs_mode import (
-    LENGTHS,
-    RATES,
-    UNTIL,
-    SeenWave,
-    bend,
-    gain,
-    intuitive,
-    left_by_waves,
-)
+from wrod.bench import photographs_mode as mode
 from wrod.grasps.growth import departures
 from wrod.identification.laid.camera import OverheadCamera
 from wrod.identification.laid.photographs import LaidPhotograph
@@ -76,12 +67,12 @@ class Irregular:
     left: tuple[float, ...]
 
 
-def irregular(name: str, points: np.ndarray, seen: SeenWave) -> Irregular:
+def irregular(name: str, points: np.ndarray, seen: mode.SeenWave) -> Irregular:
     """Of a rod and the (n, 2) points of its photographed line [m]."""
     k, amplitude = _spectrum()
-    batch = intuitive([preset(name)], np.array([_AT]), np.zeros(1))
+    batch = mode.intuitive([preset(name)], np.array([_AT]), np.zeros(1))
     matrix = departures(batch)
-    along = -points[:, 1][-points[:, 1] < UNTIL]
+    along = -points[:, 1][-points[:, 1] < mode.UNTIL]
     phase, slope = np.outer(along, k), np.column_stack([np.ones_like(along), along])
     both = amplitude[:, None] * np.random.default_rng(0).normal(size=(2, len(k), _LINES))
 
@@ -92,11 +83,11 @@ def irregular(name: str, points: np.ndarray, seen: SeenWave) -> Irregular:
         off = slope @ np.linalg.lstsq(slope, laid, rcond=None)[0] - laid
         return laid, np.sqrt(np.mean(off**2, axis=0))
 
-    _, aside = lines(gain(matrix[0], 2.0 * np.pi / k))
-    bent, missed = lines(np.array([bend(batch, matrix, 2.0 * np.pi / one)[0] for one in k]))
-    left = left_by_waves(along, bent).reshape(-1, _LINES)
+    _, aside = lines(mode.gain(matrix[0], 2.0 * np.pi / k))
+    bent, missed = lines(np.array([mode.bend(batch, matrix, 2.0 * np.pi / one)[0] for one in k]))
+    left = mode.left_by_waves(along, bent).reshape(-1, _LINES)
     best = left.argmin(axis=0)
-    rate, length = RATES[best // len(LENGTHS)], LENGTHS[best % len(LENGTHS)]
+    rate, length = mode.RATES[best // len(mode.LENGTHS)], mode.LENGTHS[best % len(mode.LENGTHS)]
     quantiles = [
         tuple(np.percentile(v, _SHARES).tolist()) for v in (length, rate, left.min(axis=0) / missed)
     ]

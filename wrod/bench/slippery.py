@@ -14,16 +14,7 @@ import numpy as np
 
 from wrod import cost
 from wrod.bench import campaign, courses
-from wrod.bench.slippery_report import (
-    KEYS,
-    MISPLACED,
-    PUT_DOWN,
-    draw,
-    means,
-    summary,
-    told,
-    write_csv,
-)
+from wrod.bench import slippery_report as report
 from wrod.deployment.bounds import refuse_coarse_edges, refuse_long_moves
 from wrod.errors import RodError
 from wrod.files import row_schemas
@@ -44,8 +35,8 @@ METHODS = (
     "certain",
     "distilled",
     "feedback",
-    PUT_DOWN,
-    MISPLACED,
+    report.PUT_DOWN,
+    report.MISPLACED,
 )
 # Those whose plan is corrected for its table, and that plan.
 _CORRECTED = {
@@ -121,7 +112,9 @@ def command(
     settings |= {} if left is None else {"left": left}
     how = {**common.how(), "disturbed": by, "chain_step": chain_step}
     shelf.refuse(product(rods.split(","), names.split(",")), common)
-    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery", row_schemas.SlipperyRow)
+    ledger = Ledger(
+        out / "trials.jsonl", settings, report.KEYS, "slippery", row_schemas.SlipperyRow
+    )
     cells = list(product(rods.split(","), names.split(","), mus, chosen, played))
     keys = [
         (*cell, trial)
@@ -144,12 +137,12 @@ def command(
 
         courses.run(_course, jobs, note, device=device, workers=workers)
     rows = ledger.of(keys)
-    written = [write_csv(out / "slippery.csv", rows), out / "trials.jsonl"]
-    written.append(draw(out / "slippery.png", rows, shelf.course, METHODS))
-    table = summary(rows)
-    groups = means(table, shelf.bends)
+    written = [report.write_csv(out / "slippery.csv", rows), out / "trials.jsonl"]
+    written.append(report.draw(out / "slippery.png", rows, shelf.course, METHODS))
+    table = report.summary(rows)
+    groups = report.means(table, shelf.bends)
     figures = {"machine": machine_line(device), "cells": table, "means": groups}
-    tell(figures | {"written": [str(path) for path in written]}, *told(table, groups))
+    tell(figures | {"written": [str(path) for path in written]}, *report.told(table, groups))
 
 
 def _effort(shelf: Shelf, keys: list[tuple]) -> float:
@@ -301,15 +294,15 @@ def _course(shelf: Shelf, key: tuple, how: dict):
     told = Disturbance.random(_FIRST_SEED + seed, only=how.pop("disturbed"))
     steps, diverged = 0, False
     chain_step = how.pop("chain_step")
-    if method == PUT_DOWN and engine == "mujoco":
+    if method == report.PUT_DOWN and engine == "mujoco":
         s, place = put_down_in_mujoco(led, material, mu, told)
-    elif method == PUT_DOWN:
+    elif method == report.PUT_DOWN:
         edges = (led.length + led.remainder_length) / how["discretisation"].spacing
         nodes = int(edges) + 2
         job = (led, material, Friction(mu), told)
         (end,) = put_down([job], node_count=nodes, step=how["discretisation"].step)
         s, place, diverged, steps = end
-    elif method == MISPLACED:
+    elif method == report.MISPLACED:
         s = np.linspace(-led.remainder_length, led.length, 400)
         place = led.sample(s)[0]
         s, place = s + led.remainder_length, told.displaced(place, place[0])
@@ -328,7 +321,7 @@ def _course(shelf: Shelf, key: tuple, how: dict):
             else:
                 (laid,) = yield Asked([trial], None, how)
             s, place, diverged, steps = laid.arc_length, laid.centerline, laid.diverged, laid.steps
-    row = dict(zip(KEYS, key, strict=True)) | _figures(shelf, key, s, place, told)
+    row = dict(zip(report.KEYS, key, strict=True)) | _figures(shelf, key, s, place, told)
     return row | {"steps": steps, "diverged": diverged}
 
 

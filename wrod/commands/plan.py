@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.commands import plan_steps as steps
 from wrod.commands.bounds import BOUNDS
 from wrod.commands.options import (
     DEVICE,
@@ -21,16 +22,6 @@ from wrod.commands.options import (
     method_option,
 )
 from wrod.commands.plan_pattern import Shaping, fit, shorter, too_long
-from wrod.commands.plan_steps import (
-    NO_JOINT_PATH,
-    arm_steps,
-    fitting,
-    save_plan,
-    save_trajectory,
-    softened,
-    solve_grasps_of,
-    within_speed,
-)
 from wrod.commands.plan_summary import beyond_the_grip, read_friction, read_range, summary
 from wrod.commands.robot_options import RobotRequest
 from wrod.commands.running import draw_beside
@@ -228,41 +219,41 @@ def command(
             remedy = too_long(fitted.pattern, fitted.rod, arm=not request.no_robot)
             if remedy and request.remedy and not (tried or request.no_robot):
                 whole = fit(drawn, rod, replace(shaping, resize=None, tolerance=1.0)).pattern
-                said = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
+                said = steps.fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
                 raise PatternError(f"{error}; {said}") from None
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
         grasps.begin(fitted, curve, friction, chosen, remainder)
         turned = how["spin"] if spin is None else math.radians(spin)
         asked = {**how, "remainder": remainder, "spin": turned}
         asked["left"] = grasps.corrects and wanted.hold is None
-        trajectory = solve_grasps_of(fitted, device=chosen, friction=friction, **asked)
+        trajectory = steps.solve_grasps_of(fitted, device=chosen, friction=friction, **asked)
         return fitted.held_by(trajectory), with_remainder_of(fitted.pattern, trajectory), trajectory
 
-    how["pace"] = within_speed(request, how["pace"], lambda: planned(shaping))
+    how["pace"] = steps.within_speed(request, how["pace"], lambda: planned(shaping))
     fitted, curve, trajectory = planned(shaping, friction)
     joint_path, reason, beside = None, None, not request.no_robot
     with grasps.expecting(curve, fitted.rod, trajectory, friction, chosen, beside) as wait:
-        written = save_plan(out, curve, trajectory)
+        written = steps.save_plan(out, curve, trajectory)
 
         def expected():
             if wait():
-                save_trajectory(out, trajectory)
+                steps.save_trajectory(out, trajectory)
 
         def softer(how):
             held = replace(shaping, hold=fitted.rod.length)
             start = planned(held, led=curve.remainder_length or False)[2]
             asked = {"time_limit": grasps.time_limit, "device": chosen or "auto"}
-            return softened(curve, fitted.rod, trajectory, start, how, friction, asked)
+            return steps.softened(curve, fitted.rod, trajectory, start, how, friction, asked)
 
         if beside:
             corrected = (trajectory.optimised or {}).get("kept", False)
-            joint_path, reason, more, followed = arm_steps(
+            joint_path, reason, more, followed = steps.arm_steps(
                 request, out, trajectory, curve, fitted.rod, planned, shaping, expected,
                 softer if corrected else None,
             )  # fmt: skip
             if followed is not trajectory:
                 trajectory = followed
-                save_plan(out, curve, trajectory)
+                steps.save_plan(out, curve, trajectory)
             written += more
     _say(_figures(trajectory, fitted, joint_path, reason, written))
     if request.view:
@@ -298,4 +289,4 @@ def _say(figures: dict) -> None:
     tell(figures, summary(figures))
     if figures["no_joint_path"] is not None:
         click.echo(f"wrod: {figures['no_joint_path']}", err=True)
-        click.get_current_context().exit(NO_JOINT_PATH)
+        click.get_current_context().exit(steps.NO_JOINT_PATH)
