@@ -26,6 +26,7 @@ from wrod.identification.clamped.setup import ClampedSetup
 from wrod.rods.law import Linear
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
+from wrod.rods.rotation import node_frames
 
 
 def constant(*values: float) -> Callable:
@@ -252,13 +253,8 @@ def _first_guesses(measurements):
     solver = ClampedSolver([setup])
     seen = solver.predict([setup])
     positions = solver.batch.positions()[:, 1:-1]
-    t = solver.batch.state.tangent.numpy()
-    d = solver.batch.material_directors()[:, :, 0]
-    t, d = t[:, 1:] + t[:, :-1], d[:, 1:] + d[:, :-1]
-    t /= np.linalg.norm(t, axis=2, keepdims=True)
-    d -= (d * t).sum(axis=2, keepdims=True) * t
-    d /= np.linalg.norm(d, axis=2, keepdims=True)
-    frames = np.stack([d, np.cross(t, d), t], axis=3)
+    directors, tangents = solver.batch.material_directors(), solver.batch.state.tangent.numpy()
+    frames = node_frames(directors[:, :, 0], tangents)[:, 1:-1]
     return [
         _guess_of(measurements.material, positions[i], frames[i], np.real(seen.force[0, i]))
         for i in trials
