@@ -90,7 +90,7 @@ def draw(path: Path, rows: list[dict]) -> Path:
 
 
 def _head(axes, title: str, note: str) -> None:
-    axes.set_head(title, fontsize=10.5, color=INK, loc="left", pad=14)
+    axes.set_title(title, fontsize=10.5, color=INK, loc="left", pad=14)
     axes.text(0.0, 1.01, note, transform=axes.transAxes, fontsize=8, color=MUTED, va="bottom")
 
 
