@@ -95,9 +95,8 @@ def command(
 def _add_predictions(figures: dict, out: Path, photographs, verdicts, laid, data: Path) -> list:
     """What the scenarios that were found foretell, added to the figures; the files written."""
     from wrod.bench.photographs_mode import modes
-    from wrod.bench.photographs_plans import plans_in_scenarios_found
+    from wrod.bench.photographs_plans import plans_in_scenarios_found, table3
     from wrod.bench.photographs_report import draw, draw_lines, write_predictions
-    from wrod.bench.photographs_table3 import table3
     from wrod.bench.photographs_waves import waves
 
     figures["predictions"], files = write_predictions(out, photographs, verdicts, laid, data)
