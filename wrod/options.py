@@ -36,6 +36,14 @@ def option(said: str | None, *flags: str, left_out: Any = None, **how: Any) -> A
     return field(default=left_out, metadata={"flags": flags, "how": {"help": said, **how}})
 
 
+# Of what simulates rods over time.
+SCHEME = option(
+    "Of time stepping, of first and of second order.",
+    type=click.Choice(["euler", "bdf2"]),
+    default="bdf2",
+)
+
+
 def own_options(command: Callable) -> Callable:
     """Decorator that adds the options which are defaults of a command's arguments."""
     hints = typing.get_type_hints(command)

@@ -11,7 +11,7 @@ import numpy as np
 from wrod import cost
 from wrod.deployment.bounds import check_release, refuse_long_moves
 from wrod.files.ledger import Ledger
-from wrod.options import FOLDER, SOURCE_FOLDER, option
+from wrod.options import FOLDER, SCHEME, SOURCE_FOLDER, option
 
 # Points at which laid curves are kept.
 _CURVE_POINTS = 60
@@ -97,13 +97,6 @@ _HOLD = 0.05
 def _checked_release(ctx: click.Context, option: click.Parameter, release: float) -> float:
     check_release(_HOLD, release)  # before plans, that take time
     return release
-
-
-SCHEME = option(
-    "Of time stepping, of first and of second order.",
-    type=click.Choice(["euler", "bdf2"]),
-    default="bdf2",
-)
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from typing import Any
 
 import click
 
-from wrod.bench.campaign import SCHEME
-from wrod.options import FOLDER, SOURCE_FOLDER, option, own_options, refuse_idle_options
+from wrod.options import FOLDER, SCHEME, SOURCE_FOLDER, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
 
