@@ -15,7 +15,7 @@ from wrod.commands.options import (
     closure_option,
     method_option,
 )
-from wrod.options import FOLDER, gathered, option, own_options, refuse_idle_options
+from wrod.options import FILE, FOLDER, gathered, option, own_options, refuse_idle_options
 from wrod.telling import json_option, tell
 
 _PAGE_INTERVAL = 0.25  # [s] between the states that the page shows
@@ -26,8 +26,7 @@ class Planned:
     """What the grip follows."""
 
     trajectory: Path | None = option(
-        "Trajectory (.npz) that `wrod plan` wrote, instead of a new plan.",
-        type=click.Path(dir_okay=False, path_type=Path),
+        "Trajectory (.npz) that `wrod plan` wrote, instead of a new plan.", type=FILE
     )
     another_rod: bool = option("Lay another rod than that of the trajectory, on purpose.")
     method: str = method_option()
@@ -71,9 +70,7 @@ class Laying:
     friction: float = option("Static friction coefficient.", default=0.6)
     kinetic: float | None = option("Kinetic friction coefficient; default: the static.")
     fixtures_file: Path | None = option(
-        "Scene file (.json) of posts and clips to lay the rod between.",
-        "--fixtures",
-        type=click.Path(dir_okay=False, path_type=Path),
+        "Scene file (.json) of posts and clips to lay the rod between.", "--fixtures", type=FILE
     )
     rolling: bool = option("Let the laid rod roll freely.")
     trials: int = option("Disturbed trials; 1 is the ideal.", default=1)
