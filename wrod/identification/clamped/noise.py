@@ -359,11 +359,12 @@ class _Restricted:
             log_det += float(np.linalg.slogdet(matrix)[1])
         return float(square + log_det)
 
-    def _products(self, *along) -> tuple[np.ndarray, float]:
+    def _products(self, size, share, length) -> tuple[np.ndarray, float]:
         """(t, 1 + P + 15, 1 + P + 15) products of columns in independent readings, and the log
         determinant of the common covariance; those of the last noise along the rod are kept."""
+        along = size, share, length
         if self._last is None or self._last[0] != along:
-            x, log_det = self._whitened(_along(*along, self.arc_length))
+            x, log_det = self._whitened(_along(size, share, length, self.arc_length))
             self._last = along, (x.mT @ x, log_det)
         return self._last[1]
 
