@@ -122,10 +122,6 @@ class ArmTask:
                 best = solution
         return best
 
-    def free(self, fixed: bool) -> np.ndarray:
-        """(6,) which changes of `moved` are allowed, where the place must stay if it is `fixed`."""
-        return np.array([not fixed] * 3 + [True, True, self.free_height and not fixed])
-
     def nearby(self, branch: Branch, fixed: bool, seed: int = 0, rounds: int = _ROUNDS) -> Branch:
         """A better branch near one: place, yaw, roll and grip angle varied, ever less.
 
@@ -133,7 +129,7 @@ class ArmTask:
             fixed: the place must stay.
         """
         rng = np.random.default_rng(seed)
-        scale = _NEAR * self.free(fixed)
+        scale = _NEAR * allowed(fixed, self.free_height)
         best, value = branch, self.cost(branch)
         keeps_off = off_pedestal(self.robot, self.trajectory, branch.placement.z)
         for _ in range(rounds):
@@ -237,6 +233,12 @@ def moved(place: Placement, grip: Grip, change: np.ndarray) -> tuple[Placement, 
     tilt = float(np.clip(grip.angle + angle, 0.0, math.pi / 2))
     there = replace(place, x=place.x + x, y=place.y + y, z=place.z + z, yaw=place.yaw + yaw)
     return there, Grip(tilt, grip.roll + roll)
+
+
+def allowed(fixed: bool, free_height: bool) -> np.ndarray:
+    """(6,) which changes of `moved` are: a place that is `fixed` stays, as does the table's height
+    unless it is free."""
+    return np.array([not fixed] * 3 + [True, True, free_height and not fixed])
 
 
 def hanging_rod(trajectory: Trajectory) -> np.ndarray | None:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from wrod.robot.attempt import ArmTask, moved
+from wrod.robot.attempt import ArmTask, allowed, moved
 from wrod.robot.kinematics import free_motions, refine
 from wrod.robot.placement import off_pedestal
 from wrod.robot.redundancy import PathCost
@@ -34,7 +34,7 @@ class _Freedom:
 
     def __init__(self, task: ArmTask, branch: Branch, fixed: bool):
         self.task, self.branch = task, branch
-        self.which = np.flatnonzero(task.free(fixed))
+        self.which = np.flatnonzero(allowed(fixed, task.free_height))
         keeps_off = off_pedestal(task.robot, task.trajectory, branch.placement.z)
         self.allows = lambda unknowns: fixed or keeps_off(self.at(unknowns)[0])
 
