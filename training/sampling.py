@@ -16,8 +16,7 @@ from scipy.stats import qmc
 
 from wrod.errors import DataError, RodError, WrodWarning
 from wrod.planning.roll import TILT
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 
 INPUTS = ("suspended_length", "curvature", "stretch_ratio")
 # What the controller is made for (Sec. Training the Neural Controller covers the same rods).
@@ -61,7 +60,7 @@ class RodInputs:
     poisson: float = 0.5
 
     @classmethod
-    def of(cls, rod: RodModel | RodMaterial, roll: float | str = "plane") -> RodInputs:
+    def of(cls, rod: Rod, roll: float | str = "plane") -> RodInputs:
         """A rod laid with this roll of its first director from left to up [rad]; "plane", "up" and
         "tilted" turn its natural curvature to the left, upwards, or 30 degrees up from the left.
 

@@ -10,14 +10,14 @@ from wrod.errors import DataError
 from wrod.identification.clamped.setup import rotation_of
 from wrod.identification.template import labels
 from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 
 # Length between the clamps [m], and markers along it, ends included.
 _FREE_LENGTH, _MARKERS = 0.30, 21
 
 
 def clamped_experiment(
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     believed: RodMaterial,
     *,
     trials: int = 16,

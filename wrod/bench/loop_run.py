@@ -23,8 +23,7 @@ from wrod.machine import machine_line
 from wrod.options import refuse_idle_options
 from wrod.planning.roll import read_roll
 from wrod.rods.catalogue import rod
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 from wrod.solvers.friction import Friction
 
 # The free end of a cable is held for so much of its L_gb; a green VPS rod's 5 cm are 1.6 of them.
@@ -114,7 +113,7 @@ def _learning(loop: Loop) -> float:
 def _hidden(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
     """A case for each effect that is hidden in synthetic measurements, and the files written."""
     believed = rod(loop.rod_name)
-    true: dict[str, RodModel | RodMaterial] = {
+    true: dict[str, Rod] = {
         "natural_curvature": replace(believed, natural_curvature=(loop.curvature, 0.0)),
         "stiffness": replace(
             believed,

@@ -18,7 +18,7 @@ from wrod.patterns.shapes import straight, strokes
 from wrod.planning.tail import tail
 from wrod.rods.law import Softening
 from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 from wrod.rods.profile import Profile
 
 # Edges of a rod that is put down exactly, per L_gb.
@@ -31,15 +31,15 @@ class Case:
     for the latter (None where the one that ships knows it), and the roll that plans hold it at
     (see `wrod.plan`)."""
 
-    true: RodModel | RodMaterial
-    believed: RodModel | RodMaterial
+    true: Rod
+    believed: Rod
     report: Any
-    model: RodModel | RodMaterial
+    model: Rod
     network: Any
     roll: float | str | None
 
 
-def own_bend(cable: RodModel | RodMaterial):
+def own_bend(cable: Rod):
     """A pattern that a cable can be laid along which is a few L_gb long: as much as leaves 1.5 L_gb
     hanging, straight for 1.25 L_gb, then bent by up to 0.2 / L_gb, which the friction of so little
     of it holds."""
@@ -158,7 +158,7 @@ def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
     }
 
 
-def with_length(found: RodModel, believed: RodMaterial) -> RodModel | RodMaterial:
+def with_length(found: RodModel, believed: RodMaterial) -> Rod:
     """The identified rod at the length of the one that is laid: the clamps held its first piece."""
     longer = replace(found, length=believed.length)
     return longer if longer.not_uniform() else longer.material()

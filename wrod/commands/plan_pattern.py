@@ -9,8 +9,7 @@ from wrod.options import option
 if TYPE_CHECKING:  # `wrod --help` lists this command, and needs no rods
     from wrod.patterns.pattern import Pattern
     from wrod.planning.trajectory import Trajectory
-    from wrod.rods.material import RodMaterial
-    from wrod.rods.model import RodModel
+    from wrod.rods.model import Rod
 
 # Curvature [1/L_gb] that grasps of every closure exist for, and up to which rods lie well.
 LARGEST_CURVATURE = 3.0
@@ -36,7 +35,7 @@ class Prepared:
     """A pattern ready for planning, the rod as it is held, and what was done to them."""
 
     pattern: "Pattern"
-    rod: "RodModel | RodMaterial"
+    rod: "Rod"
     notes: tuple[str, ...]
     figures: dict
 

@@ -10,7 +10,7 @@ from wrod.errors import DataError
 from wrod.files import write_npz
 from wrod.rods.batch import RodBatch
 from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod
 from wrod.rods.rotation import unit
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.statics import EquilibriumSolver, prescribe
@@ -99,7 +99,7 @@ def labels(rod: RodMaterial) -> dict[str, float]:
     }
 
 
-def motion_example(rod: RodMaterial | RodModel = _CABLE, seed: int = 0) -> dict[str, Any]:
+def motion_example(rod: Rod = _CABLE, seed: int = 0) -> dict[str, Any]:
     """Arrays of four recordings of a cable that swings between two grips, let go of aside.
 
     Args:

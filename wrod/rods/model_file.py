@@ -15,7 +15,7 @@ from wrod.files import decode_labels, read_json, schemas, write_json, write_text
 from wrod.files.reading import entry_message
 from wrod.rods.law import law_as_json, law_of
 from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 from wrod.rods.profile import Profile
 
 MODEL_FORMAT = "wrod-rod-model-3"
@@ -26,9 +26,7 @@ _WHAT = "a rod file, as `wrod loop --out` or `wrod identify` writes it"
 
 
 @arguments.checked(RodError, assumed=arguments.several(arguments.text, 0))
-def save_rod(
-    rod: RodMaterial | RodModel, path: str | os.PathLike[str], *, assumed=(), found=None
-) -> Path:
+def save_rod(rod: Rod, path: str | os.PathLike[str], *, assumed=(), found=None) -> Path:
     """Write a rod as JSON, SI units.
 
     Args:
@@ -81,14 +79,14 @@ def model_of(content: dict) -> RodModel:
         raise RodError(str(error).replace("RodModel.__init__() ", "")) from None
 
 
-def rod_as_json(rod: RodModel | RodMaterial) -> dict:
+def rod_as_json(rod: Rod) -> dict:
     """A rod as plain JSON values: a uniform one by the numbers of `RodMaterial`."""
     if isinstance(rod, RodMaterial):
         return {**asdict(rod), "natural_curvature": list(rod.natural_curvature)}
     return {**model_as_json(rod), "gravito_bending_length": rod.gravito_bending_length}
 
 
-def rod_of_json(content) -> RodModel | RodMaterial:
+def rod_of_json(content) -> Rod:
     """The rod that `rod_as_json` wrote.
 
     Raises:
@@ -107,7 +105,7 @@ def rod_of_json(content) -> RodModel | RodMaterial:
 @arguments.checked(RodError)
 def load_rod(
     path: str | os.PathLike[str], *, radius: float | None = None, length: float | None = None
-) -> RodMaterial | RodModel:
+) -> Rod:
     """Read a rod that `save_rod`, `wrod loop` or `wrod identify` wrote.
 
     Args:

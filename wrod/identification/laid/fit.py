@@ -21,8 +21,7 @@ from wrod.identification.report import Finding
 from wrod.identification.verdict import CORRELATED, LAID, LAID_ONCE
 from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.rods.model import Rod, RodModel
 from wrod.solvers.friction import Friction
 
 PARAMETERS = ("natural_curvature", "log_L_gb", "log_friction")
@@ -56,7 +55,7 @@ class LaidFit(Finding):
     """
 
     estimates: dict[str, Estimate]
-    rod: RodModel | RodMaterial
+    rod: Rod
     alone: dict[str, float]
     correlation: float
     friction: float
@@ -68,7 +67,7 @@ class _Laying:
     there will be."""
 
     measurements: LaidMeasurements
-    rod: RodModel | RodMaterial
+    rod: Rod
     trajectory: Trajectory
     friction: Friction
     released: bool
@@ -146,7 +145,7 @@ def _estimates(values, active, covariance) -> tuple[dict[str, Estimate], float]:
 )
 def fit_laid(
     measurements: LaidMeasurements,
-    rod: RodModel | RodMaterial,
+    rod: Rod,
     trajectory: Trajectory,
     friction: Friction | float = 0.6,
     *,
@@ -233,9 +232,7 @@ def scaled(law: Friction, log_ratio: float) -> Friction:
     return replace(law, static=law.static * ratio, kinetic=kinetic)
 
 
-def with_parameters(
-    rod: RodModel | RodMaterial, values: np.ndarray, roll: float = 0.0
-) -> RodModel | RodMaterial:
+def with_parameters(rod: Rod, values: np.ndarray, roll: float = 0.0) -> Rod:
     """`rod` with more natural curvature to the left as held at `roll`, and another L_gb."""
     more = float(values[0])
     if isinstance(rod, RodModel):
