@@ -8,7 +8,7 @@ import pytest
 from cli import refused, told
 
 import wrod
-from wrod.bench.loop_measurements import clamped_experiment
+from wrod.bench.loop_run import clamped_experiment
 from wrod.errors import DataError
 from wrod.identification.clamped.loading import measurements_from_arrays
 
