@@ -9,14 +9,7 @@ rod itself; in between properties change linearly.
 import warp as wp
 from wrod.kernels.elastic.bending import Bending, make_bending
 from wrod.kernels.elastic.curvature import Stencil
-from wrod.kernels.elastic.frames import (
-    HALF,
-    ONE,
-    ZERO,
-    parallel_transport,
-    rotate,
-    signed_angle,
-)
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO, parallel_transport, rotate, signed_angle
 from wrod.kernels.elastic.softened_bending import softening_law
 from wrod.kernels.elastic.stretching import stretching
 from wrod.kernels.elastic.twisting import Twisting, twisting, twisting_hessian

@@ -13,13 +13,7 @@ from wrod.kernels.grasping.contact_edge import (
 )
 from wrod.kernels.grasping.reading import rotation_rate
 from wrod.kernels.grasping.scratch import Scratch
-from wrod.kernels.grasping.straight_rod import (
-    WEIGHT,
-    evaluate,
-    gradient_rate,
-    point,
-    put_point,
-)
+from wrod.kernels.grasping.straight_rod import WEIGHT, evaluate, gradient_rate, point, put_point
 from wrod.kernels.linear.frontal import make_elimination
 
 wp.set_module_options({"enable_backward": False})

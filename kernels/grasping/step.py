@@ -3,11 +3,7 @@
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.grasping.bordered import make_border
-from wrod.kernels.grasping.general_rod import (
-    advance_general,
-    evaluate_general,
-    spin_at_grip,
-)
+from wrod.kernels.grasping.general_rod import advance_general, evaluate_general, spin_at_grip
 from wrod.kernels.grasping.grip_torque import add_torque
 from wrod.kernels.grasping.reading import Level
 from wrod.kernels.grasping.scratch import Scratch

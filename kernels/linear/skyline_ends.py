@@ -9,15 +9,7 @@ many columns in a row as one block would.
 
 import warp as wp
 from wrod.kernels.linear.skyline_order import Skyline, is_solved
-from wrod.kernels.linear.skyline_window import (
-    BACK,
-    COLUMN,
-    ELIMINATE,
-    REACH,
-    ROWS,
-    STRIDE,
-    WINDOW,
-)
+from wrod.kernels.linear.skyline_window import BACK, COLUMN, ELIMINATE, REACH, ROWS, STRIDE, WINDOW
 
 wp.set_module_options({"enable_backward": False})
 

@@ -17,14 +17,7 @@ import warp as wp
 from wrod.kernels.elastic.frames import HALF, TWO, ZERO, node
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import StepMatrix, entry
-from wrod.kernels.stepping.bodies import (
-    Body,
-    Hold,
-    inertia_of,
-    tangent_of,
-    turn_to,
-    turned_on,
-)
+from wrod.kernels.stepping.bodies import Body, Hold, inertia_of, tangent_of, turn_to, turned_on
 from wrod.kernels.stepping.exchange_adjoint import jacobian, turned_back
 from wrod.kernels.stepping.trace import OneStep
 

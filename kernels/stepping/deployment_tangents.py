@@ -30,11 +30,7 @@ from wrod.kernels.stepping.flow_tangents import (
     of_vector,
 )
 from wrod.kernels.stepping.grip import spline
-from wrod.kernels.stepping.inelastic_tangents import (
-    begin_memory,
-    carry_memory,
-    remembered_moments,
-)
+from wrod.kernels.stepping.inelastic_tangents import begin_memory, carry_memory, remembered_moments
 from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})

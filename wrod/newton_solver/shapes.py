@@ -10,17 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.errors import WrodWarning
 from wrod.solvers.friction import Friction
-from wrod.solvers.solids import (
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
-    Ellipsoid,
-    Mesh,
-    Plane,
-    Shape,
-    Sphere,
-)
+from wrod.solvers.solids import Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Plane, Shape, Sphere
 
 _TURNED: dict[GeoType, type[Box | Ellipsoid]] = {GeoType.BOX: Box, GeoType.ELLIPSOID: Ellipsoid}
 _ON_AXIS: dict[GeoType, type[Cylinder | Capsule | Cone]] = {

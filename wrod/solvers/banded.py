@@ -7,13 +7,7 @@ import warp as wp
 
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.lanes import WARP, lanes
-from wrod.kernels.linear import (
-    banded,
-    banded_ends,
-    banded_lanes,
-    factor_lanes,
-    two_warps,
-)
+from wrod.kernels.linear import banded, banded_ends, banded_lanes, factor_lanes, two_warps
 from wrod.rods.batch import RodBatch
 
 

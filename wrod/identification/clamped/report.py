@@ -20,13 +20,7 @@ from wrod.identification.clamped.selection import select
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.clamped.trace import Print, trace
 from wrod.identification.clamped.verdict import Selection
-from wrod.identification.effect import (
-    Effect,
-    Estimate,
-    Model,
-    as_asked,
-    checked_as_identification,
-)
+from wrod.identification.effect import Effect, Estimate, Model, as_asked, checked_as_identification
 from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.report import FoundEffect, Report, millimetres
 from wrod.rods.device import resolve_device
