@@ -26,7 +26,7 @@ from wrod.identification.clamped.setup import ClampedSetup
 from wrod.rods.law import Linear
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-from wrod.rods.rotation import node_frames
+from wrod.rods.rotation import node_frames, one_hemisphere
 
 
 def constant(*values: float) -> Callable:
@@ -265,10 +265,7 @@ def _guess_of(rod: RodMaterial, position, matrices, force):
     """(u, y) of one rod: nodes (n + 1, 3), their frames (n + 1, 3, 3), the gripper's force."""
     edge_count = len(position) - 1
     rotation = Rotation.from_matrix(matrices)
-    quaternion = np.roll(rotation.as_quat(), 1, axis=1)
-    for i in range(1, len(quaternion)):
-        if quaternion[i] @ quaternion[i - 1] < 0:
-            quaternion[i] *= -1
+    quaternion = one_hemisphere(np.roll(rotation.as_quat(), 1, axis=1))
     u = np.linspace(0.0, 1.0, edge_count + 1)
     curvature = (rotation[1:] * rotation[:-1].inv()).as_rotvec() * edge_count / rod.length
     curvature = np.concatenate([curvature[:1], 0.5 * (curvature[1:] + curvature[:-1])])
