@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from wrod.patterns.curve import arc_length
 from wrod.perception.trace import Centerline
@@ -35,8 +36,6 @@ def find_crossings(lines: list[Centerline], image: np.ndarray | None = None) -> 
         image: (H, W, 3) or (H, W) uint8 to read over and under from; None leaves them open. Ink
             has neither.
     """
-    from scipy.spatial import cKDTree
-
     starts = np.vstack([line.points[:-1] for line in lines])
     ends = np.vstack([line.points[1:] for line in lines])
     owner = np.concatenate([np.full(len(line.points) - 1, k) for k, line in enumerate(lines)])

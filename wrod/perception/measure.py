@@ -11,6 +11,7 @@ from wrod.errors import PerceptionError
 from wrod.files import write_figure
 from wrod.files.pictures import AFTER, BEFORE, INK, MUTED, new_figure
 from wrod.patterns.curve import arc_length
+from wrod.perception.scan import read_scan
 
 
 @dataclass(frozen=True)
@@ -119,8 +120,6 @@ def measure_deployment(
     Raises:
         PerceptionError: as `wrod.scan`.
     """
-    from wrod.perception.scan import read_scan
-
     reading.setdefault("kind", "auto")
     result = read_scan(image, **reading)
     result.single()

@@ -1,6 +1,8 @@
 """Sub-pixel centrelines: edges measured across the strand, smoothed with least bending energy."""
 
 import numpy as np
+from scipy.linalg import solveh_banded
+from scipy.ndimage import median_filter
 
 from wrod.patterns.curve import arc_length
 
@@ -24,8 +26,6 @@ def smooth(
     Returns:
         (n, k) minimiser of sum w |z - p|^2 + (wavelength / 2 pi)^4 sum |second difference of z|^2.
     """
-    from scipy.linalg import solveh_banded
-
     n = len(points)
     if closed:
         pad = min(n, int(4 * wavelength) + 2)
@@ -118,8 +118,6 @@ def centre_offsets(
     Returns:
         offset (n,) along the normal [px], weight (n,), half-width (n,) [px].
     """
-    from scipy.ndimage import median_filter
-
     left, right = distances
     half = (left + right) / 2
     trusted = alone & np.isfinite(half) & (half > 0.25)

@@ -11,6 +11,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import PerceptionError, WrodWarning, needed_extras
 from wrod.patterns.curve import arc_length
+from wrod.patterns.pattern import Pattern
 from wrod.perception.gaps import join_gaps
 from wrod.perception.image import as_image, is_mask, read_image
 from wrod.perception.metric import CameraIntrinsics, MarkerLayout, SeenPlane
@@ -178,8 +179,6 @@ def scan(
     Raises:
         PerceptionError: no or several curves, no scale, markers missing or there twice.
     """
-    from wrod.patterns.pattern import Pattern
-
     if markers is None and sheet is None and scale is None:
         raise PerceptionError(
             "the picture has no scale; give markers, the sheet's size or metres per pixel"

@@ -2,6 +2,9 @@
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import distance_transform_edt
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
 
 from wrod.perception import refine
 from wrod.perception.crossings import find_crossings
@@ -25,9 +28,6 @@ def score_paths(
             its width of it; offset_px: mean distance to the middle between a label's edges, away
             from crossings [px].
     """
-    from scipy.ndimage import distance_transform_edt
-    from scipy.optimize import linear_sum_assignment
-
     rods = [labels == k for k in range(1, int(labels.max()) + 1)]
     drawn = [_draw(line, labels.shape) for line in lines]
     dice = np.array(
@@ -61,8 +61,6 @@ def finite_mean(values: ArrayLike) -> float:
 
 def _draw(line: Centerline, shape: tuple[int, int]) -> np.ndarray:
     """All pixels whose centre is within the radius of the path."""
-    from scipy.spatial import cKDTree
-
     low = np.floor(line.points.min(0) - line.radius).astype(int).clip(0)
     high = np.ceil(line.points.max(0) + line.radius).astype(int) + 1
     high = np.minimum(high, shape[::-1])
@@ -78,8 +76,6 @@ def _draw(line: Centerline, shape: tuple[int, int]) -> np.ndarray:
 
 def _offsets(line: Centerline, rod: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Distances of the path from the middle of the rod's label, away from crossings [px]."""
-    from scipy.ndimage import distance_transform_edt
-
     (points,) = refine.resample(line.points, 1.0)
     skip = int(2 * line.radius) + 2
     points, normal = points[skip:-skip], refine.normals(points)[skip:-skip]

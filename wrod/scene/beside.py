@@ -8,6 +8,7 @@ file: the scene's path goes in, the bytes of a PNG come out, and it ends when it
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import subprocess
 import sys
@@ -84,14 +85,11 @@ def painting() -> Iterator[None]:
 
 def _paint() -> None:
     """Be the process."""
-    import io
-
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what else is printed is no picture
     import newton.sensors  # noqa: F401  # takes seconds, in which the scene is made
     from PIL import Image
 
-    from wrod.scene import newton_model  # noqa: F401
     from wrod.scene.render import compile_pictures, four_moments
 
     compile_pictures()

@@ -9,6 +9,7 @@ from wrod.files import write_atomically, write_picture
 from wrod.robot.joint_path import JointPath
 from wrod.scene.beside import painter
 from wrod.scene.export import export_usd
+from wrod.scene.page import write_deployment_page
 from wrod.scene.phases import falling
 from wrod.scene.render import four_moments
 
@@ -43,8 +44,6 @@ def deliver(
     if beside is not None:
         beside.begin(scene)
     if find_spec("viser") is not None:
-        from wrod.scene.page import write_deployment_page
-
         progress("page")
         page = out / "scene.html"
         written.append(write_deployment_page(page, trajectory, joint_path, **shown))

@@ -12,6 +12,8 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import SceneError, needed_extras
 from wrod.robot.grip import Grip, TravelledPath
+from wrod.robot.model import load_robot
+from wrod.rods.catalogue import catalogue
 from wrod.scene.arm import add_arm, add_visuals, reach_of
 from wrod.scene.phases import POINTS, covered, falling, film, rods_of
 from wrod.scene.primitives import Materials, set_pose
@@ -303,8 +305,6 @@ def _add_gripper(stage, path: str, trajectory, times, materials) -> None:
     """The gripper alone at every grip pose, held along the rod."""
     from pxr import UsdGeom
 
-    from wrod.robot.model import load_robot
-
     robot = load_robot("sawyer")
     poses = np.tile(np.eye(4), (len(trajectory), 1, 1))
     poses[:, :3, :3] = trajectory.rotation @ Grip().rotation
@@ -315,8 +315,6 @@ def _add_gripper(stage, path: str, trajectory, times, materials) -> None:
 
 
 def _rod_name(trajectory, rod) -> str | None:
-    from wrod.rods.catalogue import catalogue
-
     named = trajectory.metadata.get("rod")
     if isinstance(named, str):
         return named

@@ -10,6 +10,7 @@ import numpy as np
 
 from wrod.errors import SceneError, needed_extras
 from wrod.files import write_picture
+from wrod.scene.newton_model import NewtonScene
 from wrod.scene.validate import open_stage
 
 _SKY, _GROUND = (0.50, 0.51, 0.55), (0.20, 0.19, 0.18)
@@ -62,8 +63,6 @@ class Renderer:
         # isort: split
         import warp as wp
         from newton.sensors import SensorCamera
-
-        from wrod.scene.newton_model import NewtonScene
 
         self.scene = NewtonScene(path, hidden)
         self._sensor = SensorCamera(self.scene.model)

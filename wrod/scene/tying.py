@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from wrod.deployment.fixtures import Fixtures
 from wrod.errors import RobotError, SceneError, needed_extras
@@ -251,7 +252,6 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
 
 def _add_fixtures(stage, path: str, fixtures: Fixtures, materials: Materials) -> None:
     from pxr import UsdGeom
-    from scipy.spatial.transform import Rotation
 
     UsdGeom.Xform.Define(stage, path)
     for number, item in enumerate(fixtures.items):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from wrod.errors import needed_extras
 from wrod.files import write_text
+from wrod.scene.newton_model import NewtonScene
 from wrod.scene.page_parts import named
 from wrod.scene.stage import FRAMES_PER_SECOND
 
@@ -59,8 +60,6 @@ def write_page(
     Raises:
         SceneError: no stage, no such camera, or Newton or Viser is missing.
     """
-    from wrod.scene.newton_model import NewtonScene
-
     scene = NewtonScene(path, hidden)
     eye = scene.camera(camera) if camera != _DEFAULT or scene.cameras else None
     viewer = _viewer(scene.model, _PORT, False)
@@ -89,8 +88,6 @@ def view(path: str | os.PathLike[str], port: int = _PORT) -> None:
     Raises:
         SceneError: no stage, or Newton or Viser is missing.
     """
-    from wrod.scene.newton_model import NewtonScene
-
     scene = NewtonScene(path)
     viewer = _viewer(scene.model, port, True)
     _look_through(scene.cameras.get(_DEFAULT), viewer)

@@ -1,6 +1,7 @@
 """Curves through the markers of a rod, and their lengths."""
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 # Pieces between two markers of a curve whose length is wanted.
 _FINE = 8
@@ -36,8 +37,6 @@ def through_markers(position: np.ndarray, fine: int, s: np.ndarray | None = None
     Returns:
         (..., (M - 3) fine + 3, 3) points.
     """
-    from scipy.interpolate import CubicSpline
-
     x = np.asarray(position)
     if s is None:
         # By its chords a strongly bent curve would run too fast where its direction is given.

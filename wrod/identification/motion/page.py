@@ -4,6 +4,7 @@ from pathlib import Path
 
 from wrod.files import write_text
 from wrod.identification.clamped.page import effects_table, numbers_of, page, steps_table
+from wrod.identification.motion import pictures
 
 
 def write_motion_page(path: Path, report) -> Path:
@@ -12,8 +13,6 @@ def write_motion_page(path: Path, report) -> Path:
 
 
 def _page(report) -> str:
-    from wrod.identification.motion import pictures
-
     m = report.measurements
     sections = [
         ("Measured and predicted", "The middling test recording, not fitted: each prediction knows "
@@ -77,8 +76,6 @@ def _steps(report) -> str:
 
 
 def _evidence(report) -> list[tuple[str, str, bytes]]:
-    from wrod.identification.motion import pictures
-
     if report.trace is None:
         return []
     m = report.measurements

@@ -5,6 +5,7 @@ What takes setups is analytic, so that complex ones carry a parameter's derivati
 """
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from wrod.identification.motion.curves import through_markers
 from wrod.identification.motion.setup import MotionSetup
@@ -124,7 +125,5 @@ def _without_offsets(setup, markers, a1, substeps: int) -> np.ndarray:
 
 def _refine(values: np.ndarray, fine: int) -> np.ndarray:
     """(W, K, ...) values at `fine` times as many instants, by cubic splines."""
-    from scipy.interpolate import CubicSpline
-
     k = np.arange(values.shape[1])
     return CubicSpline(k, values, axis=1)(np.arange((len(k) - 1) * fine + 1) / fine)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.rods.rotation import transport, unit
@@ -132,8 +133,6 @@ def _true_time(
 
 def _held(m: MotionMeasurements, r: int, clock: np.ndarray) -> np.ndarray:
     """(K, 4, 3) held markers of a recording, smoothed, at every frame duration."""
-    from scipy.interpolate import PchipInterpolator
-
     x = m.positions[r][:, [0, 1, -2, -1]]
     if clock[-1] > len(x) - 1:
         x = PchipInterpolator(clock, x, axis=0)(np.arange(clock[-1] + 1))
