@@ -32,6 +32,8 @@ _MOST_BYTES = 8 * 2**30
 _FORCE_WEIGHT = 0.3
 # The falling rate ends at this fraction of the first.
 _LAST_RATE = 1e-3
+# Where a run is, which checkpoints keep.
+_PROGRESS = ("step", "seconds", "rounds", "batch", "using", "best", "waited", "uses_all")
 # Validations without a better one before an alternating recipe changes its optimiser.
 _PATIENCE = 3
 
@@ -281,13 +283,10 @@ class Training:
             "network": self.network.state_dict(),
             "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
             "generator": self.generator.get_state(),
-            "progress": [
-                self.step, self.seconds, self.rounds, self.batch, self.using, self.best,
-                self.waited, self.uses_all,
-            ],
+            "progress": [getattr(self, name) for name in _PROGRESS],
             "history": self.history,
             "extra": extra,
-        }  # fmt: skip
+        }
         buffer = io.BytesIO()
         torch.save(content, buffer)
         path = self.folder / CHECKPOINT
@@ -327,10 +326,8 @@ class Training:
         for optimizer, state in zip(self.optimizers, content["optimizers"], strict=True):
             optimizer.load_state_dict(state)
         self.generator.set_state(content["generator"].cpu())
-        (
-            self.step, self.seconds, self.rounds, self.batch, self.using, self.best,
-            self.waited, self.uses_all,
-        ) = content["progress"]  # fmt: skip
+        for name, value in zip(_PROGRESS, content["progress"], strict=True):
+            setattr(self, name, value)
         self.history = content["history"]
         if content["extra"] is not None:
             parts = [None if v is None else v.cpu().numpy() for v in content["extra"]]

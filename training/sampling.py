@@ -67,6 +67,7 @@ class RodInputs:
         Raises:
             RodError: its grasps depend on more than these inputs.
         """
+        stretch_ratio = rod.stretch_ratio
         if isinstance(rod, RodModel):
             # How a rod is damped does not change its grasps, how it stretches is an input.
             aside = [n for n in rod.not_uniform() if n not in _OF_NO_MATTER]
@@ -76,12 +77,9 @@ class RodInputs:
                     f"one has its own {', '.join(aside or ['stretching_stiffness'])}; `wrod plan` "
                     "solves such a rod's grasps without a controller"
                 )
-            stretch_ratio = rod.stretch_ratio
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", WrodWarning)
                 rod = rod.material()
-        else:
-            stretch_ratio = rod.stretch_ratio
         lgb, size = rod.gravito_bending_length, math.hypot(*rod.natural_curvature)
         raised = {"up": 0.5 * math.pi, "plane": 0.0, "tilted": TILT}  # [rad]
         if isinstance(roll, str):

@@ -113,12 +113,12 @@ def create(folder: Path, manifest: Manifest) -> None:
             raise DataError(
                 f"{folder}: holds a dataset with {other}; choose another --out or its options"
             )
-        if found.size >= manifest.size:
-            if found.size > manifest.size:
-                raise DataError(
-                    f"{folder}: holds a dataset of {found.size} samples; "
-                    f"ask for at least as many or choose another --out"
-                )
+        if found.size > manifest.size:
+            raise DataError(
+                f"{folder}: holds a dataset of {found.size} samples; "
+                f"ask for at least as many or choose another --out"
+            )
+        if found.size == manifest.size:
             return
     write_json(path, to_builtins(manifest))
 

@@ -25,6 +25,7 @@ from wrod.kernels.contact.planes import PLANE, Touch, touch
 from wrod.kernels.contact.rolling import by_logarithms
 from wrod.kernels.contact.rolling_adjoint import node_angle, node_rolled
 from wrod.kernels.contact.shapes import BY_OTHERS
+from wrod.kernels.elastic.assembly import add_vector
 from wrod.kernels.elastic.frames import HALF, ZERO, node
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import solved
@@ -159,9 +160,7 @@ def want_friction(
                 parts = by_logarithms(kept, by_step, by_end)
                 by_stiffness += parts[0] / stiffness
                 by_radius += parts[1]
-            before_step = wanted_of_three(h, AT_START, w)
-            for a in range(3):
-                before.dof[r, 4 * i + a] = before.dof[r, 4 * i + a] + before_step[a]
+            add_vector(before.dof, r, 4 * i, wanted_of_three(h, AT_START, w))
             bristle = wanted_of_three(h, BRISTLE, w)
             if model.shapes[r, k].moves != 0:
                 want_shape(h, w, r, k, by_shape)

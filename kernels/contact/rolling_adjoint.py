@@ -12,6 +12,7 @@ from wrod.kernels.contact.edges import edge_touch
 from wrod.kernels.contact.law import ContactStep, Touchable, present_force
 from wrod.kernels.contact.planes import PLANE, touch
 from wrod.kernels.contact.rolling import Rolled, edge_rolled, follow_turn, node_turn, rolled
+from wrod.kernels.elastic.assembly import add_vector
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
 from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import RollBlock, StepMatrix
@@ -86,8 +87,7 @@ def want_node_rolls(
                     wp.atomic_add(m.roll_with_next, r, i - 1, share * share * h.stiffness)
                 by_place = (-h.per_force * law[1]) * c.normal
                 pushed += share * by_place
-                for a in range(3):
-                    wp.atomic_add(now.dof, r, 4 * i + a, wanted * by_place[a])
+                add_vector(now.dof, r, 4 * i, wanted * by_place)
     m.roll_of_node[r, i] = pushed
 
 

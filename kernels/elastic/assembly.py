@@ -207,6 +207,13 @@ def add_column(hessian: wp.array3d(dtype=wp.float64), r: int, a: int, b: int, v:
 
 
 @wp.func
+def add_edge_vector(gradient: wp.array2d(dtype=wp.float64), r: int, i: int, v: wp.vec3d):
+    """Gradient with respect to the edge after node i."""
+    add_vector(gradient, r, 4 * i, -v)
+    add_vector(gradient, r, 4 * i + 4, v)
+
+
+@wp.func
 def add_edge_gradient(
     gradient: wp.array2d(dtype=wp.float64), r: int, i: int, g_e: wp.vec3d, g_f: wp.vec3d
 ):

@@ -21,6 +21,12 @@ def node(dof: wp.array2d(dtype=wp.float64), r: int, i: int) -> wp.vec3d:
 
 
 @wp.func
+def put_node(dof: wp.array2d(dtype=wp.float64), r: int, i: int, q: wp.vec3d):
+    for c in range(3):
+        dof[r, 4 * i + c] = q[c]
+
+
+@wp.func
 def edge(dof: wp.array2d(dtype=wp.float64), r: int, i: int) -> wp.vec3d:
     return node(dof, r, i + 1) - node(dof, r, i)
 
@@ -113,8 +119,7 @@ def set_configuration(
     dof_out: wp.array2d(dtype=wp.float64),
 ):
     r, i = wp.tid()
-    for c in range(3):
-        dof_out[r, 4 * i + c] = position[r, i][c]
+    put_node(dof_out, r, i, position[r, i])
     if i < position.shape[1] - 1:
         dof_out[r, 4 * i + 3] = angle[r, i]
 

@@ -11,7 +11,7 @@ so that what nothing turns keeps its angular momentum exactly.
 """
 
 import warp as wp
-from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, angle_towards, node
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, angle_towards, node, put_node
 from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})
@@ -143,14 +143,12 @@ def place_held(
         return
     q = now.turn[r, h.slot]
     p = now.place[r, h.slot] + wp.quat_rotate(q, h.position - body[r, h.slot].centre)
-    for c in range(3):
-        dof[r, 4 * h.node + c] = p[c]
+    put_node(dof, r, h.node, p)
     if h.kind == 2:
         frame = q * h.rotation
         tangent = wp.quat_rotate(frame, wp.vec3d(ONE, ZERO, ZERO))
         aim = wp.quat_rotate(frame, wp.vec3d(ZERO, ONE, ZERO))
-        for c in range(3):
-            dof[r, 4 * h.other + c] = p[c] + h.reach * tangent[c]
+        put_node(dof, r, h.other, p + h.reach * tangent)
         a = 4 * h.edge + 3
         dof[r, a] = angle_towards(
             aim, tangent, dof[r, a], tangent_before[r, h.edge], director_before[r, h.edge]

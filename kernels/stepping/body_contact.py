@@ -96,11 +96,17 @@ def hold(m: Meeting, p: Press, bristle: wp.vec3d, dt: wp.float64) -> Push:
 
 
 @wp.func
-def add_wrench(push: wp.array3d(dtype=wp.float64), r: int, s: int, g: wp.vec3d, arm: wp.vec3d):
+def add_wrench(load: wp.array3d(dtype=wp.float64), r: int, s: int, g: wp.vec3d, arm: wp.vec3d):
+    """Add g, at `arm` from the body's centre, and its torque."""
     t = wp.cross(arm, g)
     for c in range(3):
-        wp.atomic_add(push, r, s, c, g[c])
-        wp.atomic_add(push, r, s, 3 + c, t[c])
+        wp.atomic_add(load, r, s, c, g[c])
+        wp.atomic_add(load, r, s, 3 + c, t[c])
+
+
+@wp.func
+def add_push(push: wp.array3d(dtype=wp.float64), r: int, s: int, g: wp.vec3d, arm: wp.vec3d):
+    add_wrench(push, r, s, g, arm)
     wp.atomic_add(push, r, s, 6, wp.length(g))
 
 
@@ -183,9 +189,9 @@ def push_bodies(
         return
     h = hold(m, p, bristle[i], span[r])
     g = h.force * m.normal + h.pull
-    add_wrench(push_out, r, m.slot, g, p.place - now.place[r, m.slot])
+    add_push(push_out, r, m.slot, g, p.place - now.place[r, m.slot])
     if m.other >= 0:
-        add_wrench(push_out, r, m.other, -g, p.place - now.place[r, m.other])
+        add_push(push_out, r, m.other, -g, p.place - now.place[r, m.other])
     add_stiffness(matrix_out, m, p, h, now)
 
 

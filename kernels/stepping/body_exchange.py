@@ -1,7 +1,7 @@
 """Bodies between a simulator, in its precision, and the steps of rods that they hold."""
 
 import warp as wp
-from wrod.kernels.elastic.frames import ZERO, node
+from wrod.kernels.elastic.frames import ZERO, node, put_node
 from wrod.kernels.stepping.bodies import Body, BodyMotion, Hold, inertia_of, spin_of, tangent_of
 from wrod.kernels.stepping.carrying import as_pose, from_pose
 
@@ -30,8 +30,7 @@ def carry_velocity(
         i = wp.where(n == 0, h.node, h.other)
         arm = node(dof, r, i) - before.place[r, h.slot]
         v = before.velocity[r, h.slot] + wp.cross(spin, arm)
-        for c in range(3):
-            velocity_out[r, 4 * i + c] = v[c]
+        put_node(velocity_out, r, i, v)
     if h.kind == 2:
         velocity_out[r, 4 * h.edge + 3] = wp.dot(spin, tangent_of(h, before.turn[r, h.slot]))
 

@@ -2,7 +2,7 @@
 `exchange_adjoint`, and `body_adjoint` for the steps."""
 
 import warp as wp
-from wrod.kernels.elastic.frames import TWO, ZERO, node
+from wrod.kernels.elastic.frames import TWO, ZERO, node, put_node
 from wrod.kernels.stepping.bodies import Body, Hold, inertia_of, spin_of, tangent_of
 from wrod.kernels.stepping.body_adjoint import BodySteps, WantedBodies, part
 from wrod.kernels.stepping.exchange import OutsideNode
@@ -131,9 +131,8 @@ def want_held_read(
                 if n == 1:
                     value = wp.dot(p, t) + wp.dot(v, wp.cross(spin, t))
                     wp.atomic_add(by_rest_length, r, h.edge, wp.float64(place[r, i].ghost) * value)
-                for c in range(3):
-                    rods.dof[r, 4 * i + c] = ZERO
-                    rods.velocity[r, 4 * i + c] = ZERO
+                put_node(rods.dof, r, i, wp.vec3d(ZERO, ZERO, ZERO))
+                put_node(rods.velocity, r, i, wp.vec3d(ZERO, ZERO, ZERO))
             if h.kind == 2:
                 a = 4 * h.edge + 3
                 now.turn[r, s] = (

@@ -19,7 +19,7 @@ from wrod.kernels.contact.law import ContactStep, Touchable
 from wrod.kernels.contact.shapes import WITH_RODS, Shape
 from wrod.kernels.elastic.frames import TWO, ZERO, node
 from wrod.kernels.stepping.bodies import Body, BodyMotion, turned_on
-from wrod.kernels.stepping.body_contact import add_wrench, pose_in_row
+from wrod.kernels.stepping.body_contact import add_push, pose_in_row
 
 wp.set_module_options({"enable_backward": False})
 
@@ -136,8 +136,8 @@ def push_carriers(
         add_columns(touch, r, j, a, by_shift_head, by_turn_head)
         add_columns(touch, r, j, a + 4, by_shift_tail, by_turn_tail)
         total = b.at_head + b.at_tail
-        add_wrench(push, r, s, -b.at_head, to_head)
-        add_wrench(push, r, s, -b.at_tail, to_tail)
+        add_push(push, r, s, -b.at_head, to_head)
+        add_push(push, r, s, -b.at_tail, to_tail)
         add_press(press, r, j, j, -(by_shift_head + by_shift_tail))
         add_press(press, r, j, j + 3, -(by_turn_head + by_turn_tail))
         corner = arm_head * by_shift_head + arm_tail * by_shift_tail + wp.skew(total)

@@ -6,7 +6,7 @@ meets them on the way.
 
 import warp as wp
 from wrod.kernels.contact.shapes import BY_OTHERS, Shape
-from wrod.kernels.elastic.frames import ONE, ZERO, angle_towards, node, rotate
+from wrod.kernels.elastic.frames import ONE, ZERO, angle_towards, node, put_node, rotate
 from wrod.kernels.stepping.bodies import Hold
 
 wp.set_module_options({"enable_backward": False})
@@ -143,8 +143,7 @@ def carry_held(
         turn = body.rotation * h.rotation
     left = wp.clamp((until[r] - time[r] - step[r]) / duration, ZERO, ONE)
     place = place - left * (place - position_before[r, k])
-    for c in range(3):
-        dof[r, 4 * h.node + c] = place[c]
+    put_node(dof, r, h.node, place)
     if h.kind == 1:
         return
     # A state from outside does not tell the direction of the clamp.
@@ -156,8 +155,7 @@ def carry_held(
     dof[r, 4 * e + 3] = angle_towards(
         aim, tangent, dof[r, 4 * e + 3], tangent_before[r, e], director_before[r, e]
     )
-    for c in range(3):
-        dof[r, 4 * h.other + c] = place[c] + h.reach * tangent[c]
+    put_node(dof, r, h.other, place + h.reach * tangent)
 
 
 @wp.kernel

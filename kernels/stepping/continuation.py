@@ -1,6 +1,7 @@
 """Continuation: each rod of a batch walks from where it stands to its target at its own pace."""
 
 import warp as wp
+from wrod.kernels.elastic.frames import node, put_node
 
 wp.set_module_options({"enable_backward": False})
 
@@ -23,8 +24,7 @@ def copy_configuration(
     r, i = wp.tid()
     if chosen[r] == 0:
         return
-    for c in range(3):
-        dof_out[r, 4 * i + c] = dof_in[r, 4 * i + c]
+    put_node(dof_out, r, i, node(dof_in, r, i))
     twist_out[r, i] = twist_in[r, i]
     if i < tangent_in.shape[1]:
         dof_out[r, 4 * i + 3] = dof_in[r, 4 * i + 3]

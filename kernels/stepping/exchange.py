@@ -7,7 +7,7 @@ them that is cut.
 """
 
 import warp as wp
-from wrod.kernels.elastic.frames import ZERO, node, rotate
+from wrod.kernels.elastic.frames import ZERO, node, put_node, rotate
 
 wp.set_module_options({"enable_backward": False})
 
@@ -75,14 +75,12 @@ def read_state(
         return
     p = place[r, b]
     q = node_q[p.node]
-    v = node_qd[p.node]
     if p.ghost != 0:
         t = wp.normalize(node_q[p.along + 1] - node_q[p.along])
         edge = wp.where(p.ghost < 0, b, b - 1)
         q = q + (wp.float64(p.ghost) * rest_length[r, edge]) * t
-    for c in range(3):
-        dof_out[r, 4 * b + c] = q[c]
-        velocity_out[r, 4 * b + c] = v[c]
+    put_node(dof_out, r, b, q)
+    put_node(velocity_out, r, b, node_qd[p.node])
     if b < rest_length.shape[1]:
         dof_out[r, 4 * b + 3] = ZERO
         velocity_out[r, 4 * b + 3] = ZERO

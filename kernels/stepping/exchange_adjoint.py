@@ -7,7 +7,8 @@ that turns about it by dphi, turn by t x dt + dphi t.
 """
 
 import warp as wp
-from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node, rotate
+from wrod.kernels.elastic.assembly import add_edge_vector, add_vector
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node, put_node, rotate
 from wrod.kernels.stepping.bodies import Hold, turn_to
 from wrod.kernels.stepping.carrying import as_pose
 from wrod.kernels.stepping.exchange import OutsideNode, capsule_turn
@@ -15,14 +16,6 @@ from wrod.kernels.stepping.model_adjoint import WantedModel
 from wrod.kernels.stepping.trace import OneStep, Wanted, left_of
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def want_edge(dof: wp.array2d(dtype=wp.float64), r: int, i: int, v: wp.vec3d):
-    """Add what is wanted of the vector of edge i."""
-    for c in range(3):
-        wp.atomic_sub(dof, r, 4 * i + c, v[c])
-        wp.atomic_add(dof, r, 4 * i + 4 + c, v[c])
 
 
 @wp.kernel
@@ -48,9 +41,8 @@ def want_written(
     p = place[r, b]
     if count[r] == 0 or p.ghost != 0:
         return
-    for c in range(3):
-        wp.atomic_add(now.dof, r, 4 * b + c, by_node_q[p.node][c])
-        now.velocity[r, 4 * b + c] = now.velocity[r, 4 * b + c] + by_node_qd[p.node][c]
+    add_vector(now.dof, r, 4 * b, by_node_q[p.node])
+    add_vector(now.velocity, r, 4 * b, by_node_qd[p.node])
     if p.owns == 0:
         return
     e = edge(dof, r, b)
@@ -75,10 +67,9 @@ def want_written(
         spin = by_turn(wanted, q)
         turn += wp.dot(spin, t)
         along += wp.cross(spin, t) / length
-        for c in range(3):
-            wp.atomic_add(now.dof, r, 4 * b + c, HALF * middle[c])
-            wp.atomic_add(now.dof, r, 4 * b + 4 + c, HALF * middle[c])
-    want_edge(now.dof, r, b, along)
+        add_vector(now.dof, r, 4 * b, HALF * middle)
+        add_vector(now.dof, r, 4 * b + 4, HALF * middle)
+    add_edge_vector(now.dof, r, b, along)
     now.dof[r, 4 * b + 3] = now.dof[r, 4 * b + 3] + turn
     now.velocity[r, 4 * b + 3] = now.velocity[r, 4 * b + 3] + by_spin[p.edge]
 
@@ -179,10 +170,9 @@ def want_poses(
             start = left * (wp.transpose(inverse) * gone)
             torque = turned_back(torque, left * way) - left * (inverse * gone)
             u = wp.quat_rotate(before, wp.vec3d(ONE, ZERO, ZERO))
-            want_edge(anchor, r, h.edge, wp.cross(start, u) / wp.abs(h.reach))
+            add_edge_vector(anchor, r, h.edge, wp.cross(start, u) / wp.abs(h.reach))
             wp.atomic_add(anchor, r, 4 * h.edge + 3, wp.dot(start, u))
-    for c in range(3):
-        wp.atomic_add(anchor, r, 4 * h.node + c, left * force[c])
+    add_vector(anchor, r, 4 * h.node, left * force)
     if h.body < 0:
         return
     force = (ONE - left) * force
@@ -234,7 +224,7 @@ def want_frames_read(
             d = director[p.edge]
             turn = turn / wp.length(d - wp.dot(d, t) * t)
             length = wp.length(edge(step.dof_before, r, b))
-            want_edge(now.dof, r, b, (-turn * wp.dot(d, t) / length) * side)
+            add_edge_vector(now.dof, r, b, (-turn * wp.dot(d, t) / length) * side)
         wp.atomic_add(by_director, p.edge, turn * side)
         wp.atomic_add(by_spin, p.edge, now.velocity[r, a])
     now.dof[r, a] = ZERO
@@ -271,13 +261,11 @@ def want_ghosts_read(
     wanted = node(now.dof, r, b)
     wp.atomic_add(by_rest_length, r, behind, wp.float64(p.ghost) * wp.dot(wanted, t))
     v = (wp.float64(p.ghost) * rest / length) * (wanted - wp.dot(wanted, t) * t)
-    want_edge(now.dof, r, first, v)
-    for c in range(3):
-        a = 4 * b + c
-        wp.atomic_add(now.dof, r, 4 * held + c, now.dof[r, a])
-        wp.atomic_add(now.velocity, r, 4 * held + c, now.velocity[r, a])
-        now.dof[r, a] = ZERO
-        now.velocity[r, a] = ZERO
+    add_edge_vector(now.dof, r, first, v)
+    add_vector(now.dof, r, 4 * held, wanted)
+    add_vector(now.velocity, r, 4 * held, node(now.velocity, r, b))
+    put_node(now.dof, r, b, wp.vec3d(ZERO, ZERO, ZERO))
+    put_node(now.velocity, r, b, wp.vec3d(ZERO, ZERO, ZERO))
 
 
 @wp.kernel
@@ -296,9 +284,8 @@ def want_nodes_read(
         return
     by_node_q[p.node] = by_node_q[p.node] + node(now.dof, r, b)
     by_node_qd[p.node] = by_node_qd[p.node] + node(now.velocity, r, b)
-    for c in range(3):
-        now.dof[r, 4 * b + c] = ZERO
-        now.velocity[r, 4 * b + c] = ZERO
+    put_node(now.dof, r, b, wp.vec3d(ZERO, ZERO, ZERO))
+    put_node(now.velocity, r, b, wp.vec3d(ZERO, ZERO, ZERO))
 
 
 @wp.kernel

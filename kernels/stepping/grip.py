@@ -3,7 +3,7 @@
 from typing import Any
 
 import warp as wp
-from wrod.kernels.elastic.frames import HALF, ONE, TWO, angle_towards
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, angle_towards, put_node
 
 wp.set_module_options({"enable_backward": False})
 
@@ -82,10 +82,8 @@ def prescribe(
     tangent = wp.quat_rotate(turn, wp.vec3d(ONE, wp.float64(0.0), wp.float64(0.0)))
     side = wp.quat_rotate(turn, wp.vec3d(wp.float64(0.0), ONE, wp.float64(0.0)))
     end = key_position(position, r, k, x)
-    beyond = end + rest_length[r, e] * tangent
     dof_out[r, 4 * e + 3] = angle_towards(
         side, tangent, dof_before[r, 4 * e + 3], tangent_before[r, e], director_before[r, e]
     )
-    for c in range(3):
-        dof_out[r, 4 * e + c] = end[c]
-        dof_out[r, 4 * (e + 1) + c] = beyond[c]
+    put_node(dof_out, r, e, end)
+    put_node(dof_out, r, e + 1, end + rest_length[r, e] * tangent)

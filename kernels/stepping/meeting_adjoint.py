@@ -11,8 +11,8 @@ import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.stepping.bodies import Body, BodyMotion
 from wrod.kernels.stepping.body_adjoint import WantedBodies, part
-from wrod.kernels.stepping.body_contact import Press, Push, add_stiffness, hold, pose_in_row, press
-from wrod.kernels.stepping.body_meetings import Meeting, pose_of
+from wrod.kernels.stepping.body_contact import Press, Push, add_stiffness, add_wrench, hold, press
+from wrod.kernels.stepping.body_meetings import Meeting, pose_in_row, pose_of
 from wrod.kernels.stepping.carrying import Pose, as_pose, from_pose
 from wrod.kernels.stepping.carrying_adjoint import want_carrier
 from wrod.kernels.stepping.exchange_adjoint import want_pose
@@ -79,15 +79,6 @@ def add_moved_arms(
                 add_corner(matrix, m.row, s, carrier, 3, -turned * away)
 
 
-@wp.func
-def add_wanted(load: wp.array3d(dtype=wp.float64), r: int, s: int, arm: wp.vec3d, g: wp.vec3d):
-    """What is wanted of a body whose point at `arm` is wanted by g."""
-    t = wp.cross(arm, g)
-    for c in range(3):
-        wp.atomic_add(load, r, s, c, g[c])
-        wp.atomic_add(load, r, s, 3 + c, t[c])
-
-
 @wp.kernel
 def weigh_meetings(
     # Model:
@@ -126,12 +117,12 @@ def weigh_meetings(
     of_grip = h.tangential * y
     of_point = wp.dot(h.coupling, y) * m.normal
     mine = now.place[r, m.slot]
-    add_wanted(load, r, m.slot, p.grip - mine, of_grip)
-    add_wanted(load, r, m.slot, p.point - mine, of_point)
+    add_wrench(load, r, m.slot, of_grip, p.grip - mine)
+    add_wrench(load, r, m.slot, of_point, p.point - mine)
     if m.other >= 0:
         its = now.place[r, m.other]
-        add_wanted(load, r, m.other, p.grip_there - its, -of_grip)
-        add_wanted(load, r, m.other, p.point_there - its, -of_point)
+        add_wrench(load, r, m.other, -of_grip, p.grip_there - its)
+        add_wrench(load, r, m.other, -of_point, p.point_there - its)
 
 
 @wp.func

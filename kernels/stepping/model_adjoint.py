@@ -5,7 +5,7 @@ w only the rates of strains along it count.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_component, add_edge_gradient, add_vector
+from wrod.kernels.elastic.assembly import add_component, add_edge_gradient, add_edge_vector
 from wrod.kernels.elastic.curvature import (
     add_component_rate,
     component,
@@ -278,8 +278,7 @@ def want_strained(
     last = now.strain.shape[1] - 1
     if i < last:
         t = wp.normalize(edge(dof, r, i))
-        add_vector(now.dof, r, 4 * i, -wanted[3] * t)
-        add_vector(now.dof, r, 4 * i + 4, wanted[3] * t)
+        add_edge_vector(now.dof, r, i, wanted[3] * t)
     if i == 0 or i == last:
         return
     s = stencil(dof, director, r, i)
