@@ -8,8 +8,6 @@ launched in blocks of `lanes(device, TEAM)`.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 WARP = 32
 # Lanes that wait for each other.
 TEAM = 128

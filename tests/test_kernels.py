@@ -1,10 +1,14 @@
 """Energies, gradients and Hessians against each other, on rods that differ in everything."""
 
+import importlib
+import pkgutil
+
 import numpy as np
 import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from wrod import kernels
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import full_hessian, node_positions
 
@@ -190,3 +194,12 @@ def test_frames_of_inactive_rods_are_left_alone():
     assert (target.reference_twist.numpy()[1] == 7.0).all()
     moved = target.reference_twist.numpy()[0, 1:-1]
     assert np.allclose(moved, batch.state.reference_twist.numpy()[0, 1:-1], atol=1e-12)
+
+
+def test_no_module_has_adjoints_of_warps():
+    """`wrod.kernels` says so for all of them, before they are imported."""
+    names = [m.name for m in pkgutil.walk_packages(kernels.__path__, "wrod.kernels.")]
+    for name in names:
+        importlib.import_module(name)
+    assert len(names) > 100
+    assert not [name for name in names if wp.get_module(name).options["enable_backward"]]

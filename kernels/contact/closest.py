@@ -17,8 +17,6 @@ from wrod.kernels.contact.shapes import NOTHING, PLANE, Shape
 from wrod.kernels.contact.solids import Surface, extent, solid_surface
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 SMOOTHING = wp.constant(wp.float64(0.01))
 # Of the search for s; Newton's method within a bracket takes a few.
 SEARCHES = wp.constant(60)

@@ -7,8 +7,6 @@ from wrod.kernels.contact.law import Touchable
 from wrod.kernels.contact.shapes import BY_OTHERS, shape_before, shape_displacement
 from wrod.kernels.elastic.frames import TWO, ZERO, node
 
-wp.set_module_options({"enable_backward": False})
-
 # Of an edge, as `SMOOTHING`, where distances are to be exact: this only breaks ties.
 SHARP = wp.constant(wp.float64(1.0e-9))
 # What begins deeper than this part of its radius is let out slowly.

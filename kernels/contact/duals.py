@@ -14,8 +14,6 @@ import warp as wp
 from wrod.kernels.contact.law import ContactStep
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 _TINY = wp.constant(wp.float64(1.0e-30))
 
 

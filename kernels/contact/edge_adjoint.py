@@ -27,7 +27,7 @@ from wrod.kernels.stepping.model_adjoint import WantedModel
 from wrod.kernels.stepping.trace import Wanted
 
 # Unrolled loops take a GPU's compiler twice as long.
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 # Numbers that a touch depends on: nodes at the end of the step, at its start, the bristle; radius,
 # stiffness, relaxation time, smoothing, coefficient of friction; where the solid is and how it is
 # turned at the end of the step, and at its start.

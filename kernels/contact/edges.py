@@ -31,8 +31,6 @@ from wrod.kernels.elastic.assembly import (
 )
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
 
-wp.set_module_options({"enable_backward": False})
-
 # Longest relaxation over the step where a body gets the force a step late: damping that is late
 # drives.
 LATE = wp.constant(wp.float64(0.3))

@@ -7,8 +7,6 @@ from wrod.kernels.contact.pair_contact import Pieces, Rubbing, nearest_of_edges
 from wrod.kernels.contact.planes import touch
 from wrod.kernels.elastic.frames import HALF, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 THIRD = wp.constant(wp.float64(1.0 / 3.0))
 
 

@@ -26,7 +26,7 @@ from wrod.kernels.contact.solids import MESH, mesh_corner
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 
 # Unrolled, its loop over parts is compiled seven times.
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 # Of the soft minimum, over the radius, and how many such widths farther a triangle still counts.
 SOFTNESS = wp.constant(wp.float64(0.01))

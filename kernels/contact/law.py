@@ -20,8 +20,6 @@ import warp as wp
 from wrod.kernels.contact.shapes import Shape
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 # Way on which a rod meets something in a step of which two-step differences may still reach over
 # it, over the radius: what they throw back then is lost in the contact's own give.
 IMPACT_WAY = wp.constant(wp.float64(0.1))

@@ -13,8 +13,6 @@ from wrod.kernels.contact.planes import touch
 from wrod.kernels.contact.rolling import held_turn, node_turn
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class LinearContact:

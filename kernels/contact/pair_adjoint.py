@@ -32,7 +32,7 @@ from wrod.kernels.stepping.model_adjoint import WantedModel
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
 # Unrolled, these loops take a compiler of CUDA four minutes, and less than one as they are.
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 
 @wp.func

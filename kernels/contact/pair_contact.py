@@ -21,8 +21,6 @@ from wrod.kernels.contact.segments import (
 from wrod.kernels.elastic.assembly import add_component, add_vector
 from wrod.kernels.elastic.frames import ONE, TWO, ZERO, node
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class PairLaw:

@@ -15,8 +15,6 @@ from wrod.kernels.contact.segments import (
 )
 from wrod.kernels.elastic.frames import ONE
 
-wp.set_module_options({"enable_backward": False})
-
 # Of a pair: of each piece three nodes and the angles of the edges after them.
 NUMBERS = wp.constant(24)
 OF_PIECE = wp.constant(12)

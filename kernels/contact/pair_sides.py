@@ -15,8 +15,6 @@ from wrod.kernels.contact.pair_contact import (
 from wrod.kernels.contact.segments import EDGE
 from wrod.kernels.elastic.frames import ONE, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Piece:

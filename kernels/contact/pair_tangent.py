@@ -21,8 +21,6 @@ from wrod.kernels.contact.segments import (
 )
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Way:

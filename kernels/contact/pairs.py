@@ -8,8 +8,6 @@ import warp as wp
 from wrod.kernels.contact.pair_contact import Pieces, Rubbing, nearest_of_edges, piece_nodes
 from wrod.kernels.elastic.frames import HALF, ZERO, node
 
-wp.set_module_options({"enable_backward": False})
-
 GROUP = wp.constant(8)
 
 

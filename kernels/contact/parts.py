@@ -10,7 +10,7 @@ from wrod.kernels.contact.closest import SEARCHES, Closest, slope_along
 from wrod.kernels.contact.solids import Surface, on_segment, triangle_surface
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 # Parts of a triangle by number: itself, its sides, its corners.
 CORNERS = wp.constant(4)

@@ -33,7 +33,7 @@ from wrod.kernels.stepping.model_adjoint import WantedModel
 from wrod.kernels.stepping.trace import Wanted
 
 # Unrolled loops take a GPU's compiler twice as long.
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 
 @wp.func

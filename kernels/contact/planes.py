@@ -23,8 +23,6 @@ from wrod.kernels.elastic.assembly import (
 )
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def plane_distance(shape: Shape, q: wp.vec3d) -> wp.vec4d:

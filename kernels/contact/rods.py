@@ -29,9 +29,6 @@ from wrod.kernels.contact.pair_contact import (
 from wrod.kernels.contact.segments import Nearest, piece_size
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 
-wp.set_module_options({"enable_backward": False})
-
-
 # A load is out of date when it differs by more than this part; how often a step takes them anew.
 # Where loads are settled, also by a part of what the residual may be.
 STALE = wp.constant(wp.float64(0.05))

@@ -15,8 +15,6 @@ from wrod.kernels.contact.shapes import Shape, shape_turn
 from wrod.kernels.elastic.assembly import add_component, add_entry
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def held_turn(turn: wp.float64, stiffness: wp.float64, limit: wp.float64) -> wp.vec2d:

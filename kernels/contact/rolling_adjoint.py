@@ -18,8 +18,6 @@ from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.adjoint import RollBlock, StepMatrix
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def turn_edge(

@@ -22,8 +22,6 @@ piece reaches from the middle of an edge to that of the next; the angle is that 
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 SMOOTHING = wp.constant(wp.float64(0.01))
 POWER = wp.constant(wp.float64(32.0))
 

@@ -3,8 +3,6 @@
 import warp as wp
 from wrod.kernels.elastic.frames import TWO, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 NOTHING = wp.constant(-1)
 PLANE = wp.constant(0)
 # What moves a shape, if anything does: others, or the rods' own steps.

@@ -11,8 +11,6 @@ smooth. Those that enclose nothing are sheets with two sides.
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 BOX = wp.constant(1)
 CYLINDER = wp.constant(2)
 SPHERE = wp.constant(3)

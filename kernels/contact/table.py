@@ -6,8 +6,6 @@ A penalty: the rod sinks in by its weight per length over k.
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def table(

@@ -4,8 +4,6 @@ import warp as wp
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 from wrod.kernels.lanes import count_of_lanes, count_of_lanes_before, largest_of_lanes
 
-wp.set_module_options({"enable_backward": False})
-
 # Part of the way that nodes may move in a step which they do by their present speed.
 WAY = wp.constant(wp.float64(0.95))
 

@@ -9,8 +9,6 @@ e = q_i - q_(i-1) and f = q_(i+1) - q_i, so derivatives are given with respect t
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 HALF_BANDWIDTH = wp.constant(10)
 
 # Additions that nobody waits for: Warp's own return what was there, and ask what memory it is in.

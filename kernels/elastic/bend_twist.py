@@ -9,8 +9,6 @@ import warp as wp
 from wrod.kernels.elastic.frames import ZERO
 from wrod.kernels.elastic.section import Response, make_section_energy
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def bend_twist(excess: wp.vec3d, stiffness: wp.vec3d, coupling: wp.vec2d) -> Response:

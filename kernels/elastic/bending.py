@@ -34,8 +34,6 @@ from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.elastic.stretching import stretching
 from wrod.kernels.elastic.twisting import Twisting, twisting, twisting_hessian
 
-wp.set_module_options({"enable_backward": False})
-
 FOUR = wp.constant(wp.float64(4.0))
 
 

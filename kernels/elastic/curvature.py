@@ -13,8 +13,6 @@ import warp as wp
 from wrod.kernels.elastic.assembly import add_component, add_edge_gradient
 from wrod.kernels.elastic.frames import ONE, ZERO, edge, rotate
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Stencil:

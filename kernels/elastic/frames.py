@@ -7,8 +7,6 @@ stands at 4 i + 3. Edge i runs from node i to node i + 1.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 TWO = wp.constant(wp.float64(2.0))

@@ -20,8 +20,6 @@ from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.elastic.section import Response, make_section_energy
 
-wp.set_module_options({"enable_backward": False})
-
 ELASTIC = wp.constant(0)
 PLASTIC = wp.constant(1)
 STANDARD_LINEAR_SOLID = wp.constant(2)

@@ -11,8 +11,6 @@ import warp as wp
 from wrod.kernels.elastic.frames import ONE, TWO
 from wrod.kernels.elastic.stretching import stretching
 
-wp.set_module_options({"enable_backward": False})
-
 FOUR = wp.constant(wp.float64(4.0))
 
 

@@ -7,8 +7,6 @@ import warp as wp
 from wrod.kernels.elastic.assembly import add_number, add_vector
 from wrod.kernels.elastic.frames import node
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def dead_loads(

@@ -15,8 +15,6 @@ from wrod.kernels.elastic.frames import HALF, TWO, ZERO
 from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.elastic.twisting import twisting_moment
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Response:

@@ -11,8 +11,6 @@ import warp as wp
 from wrod.kernels.elastic.bending import BendingResponse, make_elasticity
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 THREE = wp.constant(wp.float64(3.0))
 SMALL = wp.constant(wp.float64(1.0e-5))
 

@@ -3,8 +3,6 @@
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Stretching:

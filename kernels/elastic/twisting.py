@@ -9,8 +9,6 @@ import warp as wp
 from wrod.kernels.elastic.curvature import Stencil
 from wrod.kernels.elastic.frames import HALF, ONE
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Twisting:

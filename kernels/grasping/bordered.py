@@ -13,8 +13,6 @@ from typing import NamedTuple
 import warp as wp
 from wrod.kernels.elastic.frames import ONE, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 
 class Border(NamedTuple):
     """The functions and the vector of unknowns of one size of block."""

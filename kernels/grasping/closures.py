@@ -3,8 +3,6 @@
 import warp as wp
 from wrod.kernels.elastic.frames import ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 ZERO_TENSION = wp.constant(0)
 MIN_FORCE = wp.constant(1)
 MIN_FRICTION = wp.constant(2)

@@ -7,8 +7,6 @@ turning angle to either side of the pattern's tangent x, kappa = 2 tan(phi / 2) 
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def half_turn(curvature: wp.float64, length: wp.float64) -> wp.float64:

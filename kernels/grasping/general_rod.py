@@ -16,8 +16,6 @@ from wrod.kernels.elastic.twisting import Twisting, twisting, twisting_hessian
 from wrod.kernels.grasping.contact_edge import first_direction, ghost_direction, half_turn
 from wrod.kernels.grasping.straight_rod import WEIGHT, point, put_point, worse
 
-wp.set_module_options({"enable_backward": False})
-
 bending = make_bending(softening_law)
 TURN = wp.constant(wp.float64(6.283185307179586))
 

@@ -18,8 +18,6 @@ elimination takes the symmetric rest, and `add_torque` puts A and b into what it
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 mat43d = wp.types.matrix(shape=(4, 3), dtype=wp.float64)
 mat83d = wp.types.matrix(shape=(8, 3), dtype=wp.float64)
 # Columns of the frontal elimination's rows, in blocks of four.

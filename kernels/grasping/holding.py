@@ -13,8 +13,6 @@ from wrod.kernels.grasping.closures import CONVERGED, FAILED
 from wrod.kernels.linear.banded import banded_entry
 from wrod.kernels.stepping.newton_iteration import safe_fraction
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def point_on_way(start: wp.vec3d, target: wp.vec3d, progress: wp.float64) -> wp.vec3d:

@@ -24,9 +24,6 @@ from wrod.kernels.grasping.step import make_balance, make_step
 from wrod.kernels.grasping.straight_rod import StraightRod, place_contact, point
 from wrod.kernels.grasping.walk import make_walk
 
-wp.set_module_options({"enable_backward": False})
-
-
 # Balance that is enough at the target to look along the family.
 AT_TARGET = wp.constant(wp.float64(5.0e-3))
 # Change of the force that no longer matters, and its part of what rounding leaves out of balance.

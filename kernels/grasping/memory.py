@@ -10,8 +10,6 @@ from wrod.kernels.elastic.inelastic import Flow, Inelastic, flow
 from wrod.kernels.grasping.general_rod import before_contact, director
 from wrod.kernels.grasping.straight_rod import point
 
-wp.set_module_options({"enable_backward": False})
-
 
 # Of their own modules: what they share with the solver takes minutes to compile.
 @wp.kernel(module="unique", enable_backward=False)

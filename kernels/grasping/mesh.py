@@ -6,8 +6,6 @@ from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 from wrod.kernels.grasping.contact_edge import first_direction, half_turn
 from wrod.kernels.grasping.straight_rod import WEIGHT, point, put_point
 
-wp.set_module_options({"enable_backward": False})
-
 # Length over which edges stay short: a fraction of the boundary layer at the contact.
 GRADING = wp.constant(wp.float64(0.3))
 # Vertical force at the contact of a long rod on a straight pattern.

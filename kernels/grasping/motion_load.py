@@ -2,8 +2,6 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 _cache: dict[int, wp.Function] = {}
 
 

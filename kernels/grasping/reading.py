@@ -11,8 +11,6 @@ from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, parallel_transport
 from wrod.kernels.grasping.closures import CONVERGED
 from wrod.kernels.grasping.straight_rod import point
 
-wp.set_module_options({"enable_backward": False})
-
 FOUR = wp.constant(wp.float64(4.0))
 PI = wp.constant(wp.float64(3.141592653589793))
 LEAST = wp.constant(wp.float64(1.0e-300))

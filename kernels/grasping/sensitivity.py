@@ -16,8 +16,6 @@ from wrod.kernels.grasping.scratch import Scratch
 from wrod.kernels.grasping.straight_rod import WEIGHT, evaluate, gradient_rate, point, put_point
 from wrod.kernels.linear.frontal import make_elimination
 
-wp.set_module_options({"enable_backward": False})
-
 eliminate, recover, _ = make_elimination(3)
 border = make_border(3)
 vector5 = border.vector

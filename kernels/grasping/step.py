@@ -11,8 +11,6 @@ from wrod.kernels.grasping.straight_rod import evaluate, point
 from wrod.kernels.grasping.walk import make_walk
 from wrod.kernels.linear.frontal import make_elimination
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def advance_straight(

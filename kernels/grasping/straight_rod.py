@@ -5,8 +5,6 @@ from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.elastic.isotropic import EdgePair, isotropic_bending, isotropic_stencil
 from wrod.kernels.grasping.contact_edge import first_direction, ghost_direction, half_turn
 
-wp.set_module_options({"enable_backward": False})
-
 WEIGHT = wp.constant(wp.float64(0.5))  # per length, by the definition of L_gb
 
 

@@ -14,8 +14,6 @@ from wrod.kernels.grasping.reading import Level
 from wrod.kernels.grasping.scratch import Scratch
 from wrod.kernels.linear.frontal import make_elimination
 
-wp.set_module_options({"enable_backward": False})
-
 # Slope that an imbalance may feign, over the imbalance and the force.
 FEIGNED = wp.constant(wp.float64(6.0))
 # So near to the closure's minimum rounding counts, over the imbalance that it leaves.

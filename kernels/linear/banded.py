@@ -9,8 +9,6 @@ import warp as wp
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ZERO
 
-wp.set_module_options({"enable_backward": False})
-
 SMALLEST_PIVOT = wp.constant(wp.float64(1.0e-14))
 _SIZES = f"""
     const int REACH = {HALF_BANDWIDTH}, BAND = REACH + 1;

@@ -16,8 +16,6 @@ Compiled for a CPU the same source loops over ends and lanes, to be tested witho
 import warp as wp
 from wrod.kernels.linear.two_warps import COUNT, ELIMINATE
 
-wp.set_module_options({"enable_backward": False})
-
 _TWO = """
     const int SIDES = 2;
     const size_t begin = (size_t)r * hessian.shape[1] + first;

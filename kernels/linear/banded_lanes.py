@@ -12,8 +12,6 @@ Compiled for a CPU the same source loops over the 32 lanes, so that it can be te
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 LANES = """
 #if defined(__CUDA_ARCH__)
 #define WROD_SHARED __shared__

@@ -12,8 +12,6 @@ from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ONE, ZERO
 from wrod.kernels.linear.banded_lanes import LANES
 
-wp.set_module_options({"enable_backward": False})
-
 BAND = wp.constant(2 * 10 + 1)
 # A right-hand side by itself, as a GPU has them.
 ALONE = wp.types.vector(length=1, dtype=wp.float64)

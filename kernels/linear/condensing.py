@@ -19,8 +19,6 @@ from wrod.kernels.linear.banded_lanes import solve_rod
 from wrod.kernels.linear.coupling import free_of, pair_matrix, share
 from wrod.kernels.linear.dense_lanes import TILE
 
-wp.set_module_options({"enable_backward": False})
-
 NODES = wp.constant(3)
 TILE_SIZE = wp.constant(TILE)
 

@@ -16,8 +16,6 @@ from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ONE, TWO, ZERO
 from wrod.kernels.linear.skyline_order import Skyline, is_solved
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def free_of(free: wp.array2d(dtype=wp.int32), r: int, v: int, c: int) -> wp.float64:

@@ -15,8 +15,6 @@ Compiled for a CPU the same source loops over the lanes, so that it can be teste
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 BLOCK, SOLVE_BLOCK = 256, 512
 TILE = 32
 

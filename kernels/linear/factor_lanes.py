@@ -7,8 +7,6 @@ The rows are eliminated as `banded_ends` does it, but from their first on.
 import warp as wp
 from wrod.kernels.linear.two_warps import COUNT, ELIMINATE
 
-wp.set_module_options({"enable_backward": False})
-
 _ONE = """
     const int SIDES = 1;
     const size_t begin = (size_t)r * hessian.shape[1] + first;

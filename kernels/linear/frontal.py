@@ -19,8 +19,6 @@ other rods, so that neither does the last digit of a result.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 
 def row_width(size: int) -> int:
     """Numbers that `eliminate` keeps per degree of freedom: a row of the front and its pivot."""

@@ -12,8 +12,6 @@ from wrod.kernels.linear.banded import SMALLEST_PIVOT
 from wrod.kernels.linear.coupling import free_of
 from wrod.kernels.linear.skyline_order import Skyline, is_solved
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def unit_lower_solve(m: wp.mat44d, diagonal: wp.mat44d) -> wp.mat44d:

@@ -11,8 +11,6 @@ import warp as wp
 from wrod.kernels.linear.skyline_order import Skyline, is_solved
 from wrod.kernels.linear.skyline_window import BACK, COLUMN, ELIMINATE, REACH, ROWS, STRIDE, WINDOW
 
-wp.set_module_options({"enable_backward": False})
-
 # Numbers of what an end leaves of the middle: blocks; right-hand sides; diagonals at first.
 _LEFT = 16 * REACH * (REACH + 1) // 2 + 8 * REACH
 

@@ -13,8 +13,6 @@ import warp as wp
 from wrod.kernels.lanes import TEAM
 from wrod.kernels.linear.skyline_order import Skyline, is_solved
 
-wp.set_module_options({"enable_backward": False})
-
 # Numbers of a block in a column that is kept apart: one more than it has, against bank conflicts.
 STRIDE = 17
 

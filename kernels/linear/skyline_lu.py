@@ -13,8 +13,6 @@ from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.linear.coupling import free_of
 from wrod.kernels.linear.skyline_order import Skyline, is_solved
 
-wp.set_module_options({"enable_backward": False})
-
 
 def make_filling(matrix: type, entry: wp.Function) -> wp.Kernel:
     """What writes a struct's matrix, as `wrod.kernels.linear.banded_lu.make_assembly` does."""

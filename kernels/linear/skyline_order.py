@@ -15,8 +15,6 @@ from wrod.kernels.lanes import (
     wait_for_lanes,
 )
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Skyline:

@@ -25,8 +25,6 @@ from wrod.kernels.linear.skyline_lu import make_filling
 from wrod.kernels.stepping.dynamics import difference, drag_matrix, velocity_of
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
-wp.set_module_options({"enable_backward": False})
-
 SIX = wp.constant(wp.float64(6.0))
 # Residuals of the nodes at an edge's head and tail by where they are.
 EdgeBlock = wp.types.matrix(shape=(6, 6), dtype=wp.float64)

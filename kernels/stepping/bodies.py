@@ -14,8 +14,6 @@ import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, angle_towards, node, put_node
 from wrod.kernels.stepping.pace import Pace
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Body:

@@ -21,8 +21,6 @@ from wrod.kernels.stepping.bodies import Body, Hold, inertia_of, tangent_of, tur
 from wrod.kernels.stepping.exchange_adjoint import jacobian, turned_back
 from wrod.kernels.stepping.trace import OneStep
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class BodySteps:

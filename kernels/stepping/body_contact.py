@@ -12,8 +12,6 @@ from wrod.kernels.stepping.bodies import Body, BodyMotion
 from wrod.kernels.stepping.body_meetings import Meeting, pose_in_row, pose_of, where_met
 from wrod.kernels.stepping.carrying import Pose, from_pose
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Press:

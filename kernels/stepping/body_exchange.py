@@ -5,8 +5,6 @@ from wrod.kernels.elastic.frames import ZERO, node, put_node
 from wrod.kernels.stepping.bodies import Body, BodyMotion, Hold, inertia_of, spin_of, tangent_of
 from wrod.kernels.stepping.carrying import as_pose, from_pose
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def carry_velocity(

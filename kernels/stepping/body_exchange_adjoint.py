@@ -9,8 +9,6 @@ from wrod.kernels.stepping.exchange import OutsideNode
 from wrod.kernels.stepping.exchange_adjoint import by_turn
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def want_reach(

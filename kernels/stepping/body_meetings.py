@@ -10,8 +10,6 @@ from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.stepping.bodies import Body, BodyMotion
 from wrod.kernels.stepping.carrying import Pose, as_pose, from_pose, on_the_way
 
-wp.set_module_options({"enable_backward": False})
-
 # Under its weight on Earth a body sinks into one point by this part of its shape's size at most,
 # and over so much of it the force rises.
 SINKING = wp.constant(wp.float64(1.0 / 600.0))

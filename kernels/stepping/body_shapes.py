@@ -21,8 +21,6 @@ from wrod.kernels.elastic.frames import TWO, ZERO, node
 from wrod.kernels.stepping.bodies import Body, BodyMotion, turned_on
 from wrod.kernels.stepping.body_contact import add_push, pose_in_row
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Carried:

@@ -20,7 +20,7 @@ from wrod.kernels.stepping.body_shapes import Carried
 from wrod.kernels.stepping.trace import Wanted
 
 # Unrolled, its loops take a GPU's compiler two or three times as long.
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 
 @wp.struct

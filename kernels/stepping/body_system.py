@@ -18,8 +18,6 @@ import warp as wp
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 from wrod.kernels.stepping.bodies import Body, BodyMotion, Hold, tangent_of, turned_by
 
-wp.set_module_options({"enable_backward": False})
-
 # Largest turn of a body in one Newton iteration [rad].
 LARGEST_TURN = wp.constant(wp.float64(0.5))
 

@@ -9,8 +9,6 @@ from wrod.kernels.contact.shapes import BY_OTHERS, Shape
 from wrod.kernels.elastic.frames import ONE, ZERO, angle_towards, node, put_node, rotate
 from wrod.kernels.stepping.bodies import Hold
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def note_held(

@@ -14,8 +14,6 @@ from wrod.kernels.stepping.carrying import Pose, as_pose
 from wrod.kernels.stepping.exchange_adjoint import jacobian, turned_back, want_pose
 from wrod.kernels.stepping.trace import OneStep, left_of
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def find_begun(

@@ -3,8 +3,6 @@
 import warp as wp
 from wrod.kernels.elastic.frames import node, put_node
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def copy_configuration(

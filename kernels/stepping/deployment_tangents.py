@@ -33,7 +33,6 @@ from wrod.kernels.stepping.grip import spline
 from wrod.kernels.stepping.inelastic_tangents import begin_memory, carry_memory, remembered_moments
 from wrod.kernels.stepping.pace import Pace
 
-wp.set_module_options({"enable_backward": False})
 # Directions that a thread of a CPU carries at a time.
 PACK = 8
 

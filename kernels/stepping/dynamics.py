@@ -22,8 +22,6 @@ from wrod.kernels.elastic.frames import TWO, ZERO, node
 from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.trace import OneStep
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def predict(

@@ -9,8 +9,6 @@ them that is cut.
 import warp as wp
 from wrod.kernels.elastic.frames import ZERO, node, put_node, rotate
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class OutsideNode:

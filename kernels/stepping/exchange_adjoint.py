@@ -15,8 +15,6 @@ from wrod.kernels.stepping.exchange import OutsideNode, capsule_turn
 from wrod.kernels.stepping.model_adjoint import WantedModel
 from wrod.kernels.stepping.trace import OneStep, Wanted, left_of
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def want_written(

@@ -11,8 +11,6 @@ from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.viscosity import times_of
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def is_under_way(pace: Pace, begin: wp.array2d(dtype=wp.float64), r: int, p: int) -> bool:

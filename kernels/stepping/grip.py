@@ -5,8 +5,6 @@ from typing import Any
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, angle_towards, put_node
 
-wp.set_module_options({"enable_backward": False})
-
 THREE = wp.constant(wp.float64(3.0))
 
 

@@ -7,8 +7,6 @@ import warp as wp
 from wrod.kernels.elastic.frames import ONE, TWO, ZERO, angle_towards
 from wrod.kernels.stepping.pace import Pace
 
-wp.set_module_options({"enable_backward": False})
-
 THREE = wp.constant(wp.float64(3.0))
 
 

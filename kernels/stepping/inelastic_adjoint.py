@@ -26,8 +26,6 @@ from wrod.kernels.linear.banded_lu import ALONE
 from wrod.kernels.stepping.model_adjoint import WantedModel
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
-wp.set_module_options({"enable_backward": False})
-
 STENCIL = wp.constant(11)
 
 

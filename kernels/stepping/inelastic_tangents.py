@@ -24,8 +24,6 @@ from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.stepping.flow_tangents import Strains, is_under_way, strain_rate
 from wrod.kernels.stepping.pace import Pace
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Memory:

@@ -18,8 +18,6 @@ from wrod.kernels.stepping.carrying_adjoint import want_carrier
 from wrod.kernels.stepping.exchange_adjoint import want_pose
 from wrod.kernels.stepping.trace import OneStep
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def keep_bristles(

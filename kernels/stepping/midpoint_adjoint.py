@@ -13,8 +13,6 @@ from wrod.kernels.elastic.frames import TWO, ZERO, edge
 from wrod.kernels.stepping.adjoint import holonomy, turned
 from wrod.kernels.stepping.trace import OneStep, Wanted
 
-wp.set_module_options({"enable_backward": False})
-
 FOUR = wp.constant(wp.float64(4.0))
 
 

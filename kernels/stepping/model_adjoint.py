@@ -21,8 +21,6 @@ from wrod.kernels.stepping.dynamics import difference, velocity_of
 from wrod.kernels.stepping.trace import OneStep, Wanted
 from wrod.kernels.stepping.viscosity import strain
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class WantedModel:

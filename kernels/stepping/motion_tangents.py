@@ -16,8 +16,6 @@ from wrod.kernels.stepping.dynamics import difference, drag_force, drag_matrix
 from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.viscosity import strain, times_of
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def column_node(x: wp.array3d(dtype=wp.float64), r: int, j: int, i: int) -> wp.vec3d:

@@ -4,8 +4,6 @@ import warp as wp
 from wrod.kernels.elastic.frames import HALF, ZERO, edge
 from wrod.kernels.lanes import count_of_lanes, largest_of_lanes, sum_of_lanes
 
-wp.set_module_options({"enable_backward": False})
-
 ARMIJO = wp.constant(wp.float64(1.0e-4))
 ROUNDING = wp.constant(wp.float64(1.0e-13))
 

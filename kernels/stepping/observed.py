@@ -5,8 +5,6 @@ from wrod.kernels.elastic.curvature import stencil
 from wrod.kernels.elastic.frames import HALF, angle_towards, node, parallel_transport
 from wrod.kernels.stepping.pace import Pace
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def hold_ends(

@@ -10,8 +10,6 @@ from wrod.kernels.stepping.observed import frame_of
 from wrod.kernels.stepping.pace import Pace
 from wrod.kernels.stepping.viscosity import measured, relaxed_strain
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def measure_strain_tangents(

@@ -11,8 +11,6 @@ import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 from wrod.kernels.lanes import count_of_lanes, wait_for_lanes
 
-wp.set_module_options({"enable_backward": False})
-
 EULER = wp.constant(0)
 TWO_STEP = wp.constant(1)
 MIDPOINT = wp.constant(2)

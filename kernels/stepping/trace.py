@@ -6,8 +6,6 @@ is made of are rows of arrays, which are copied as words of four bytes, whatever
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Part:

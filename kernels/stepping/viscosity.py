@@ -21,8 +21,6 @@ from wrod.kernels.elastic.frames import HALF, ONE, ZERO, edge
 from wrod.kernels.elastic.model import ElasticModel
 from wrod.kernels.stepping.pace import Pace
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def strain(
