@@ -13,8 +13,7 @@ from wrod import arguments
 from wrod.errors import RodError, WrodWarning
 from wrod.rods.law import LAWS, BendingLaw, Linear
 from wrod.rods.material import RodMaterial, refuse_lumps
-from wrod.rods.numbers import as_number, as_pair, as_profile
-from wrod.rods.profile import Profile
+from wrod.rods.profile import Profile, as_number, as_pair, as_profile
 from wrod.rods.transformations import RodTransformations
 
 if TYPE_CHECKING:

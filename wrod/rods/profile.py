@@ -1,7 +1,8 @@
-"""Properties along a rod: constant, or linear between knots."""
+"""Properties along a rod: constant, or linear between knots; and numbers of it, checked."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,6 +19,11 @@ from wrod.errors import RodError
 _MOST_KNOTS = 20_000
 # Knots of what is not linear between its own: products, and functions that are sampled.
 _SAMPLES = 257
+# What stands in for a profile of what is one number for the whole rod.
+_INSTEAD = {
+    "radius": "the largest one, which touches",
+    "principal_angle": "that at the beginning, and how it turns from there as natural_twist",
+}
 
 
 @dataclass(frozen=True)
@@ -216,3 +222,34 @@ def _places(start, stop, where: str) -> list[np.ndarray]:
         raise RodError(
             f"{where}: start has shape {both[0].shape} and stop {both[1].shape}; give one shape"
         ) from None
+
+
+def as_number(name: str, value, *, positive: bool = False, least: float = -math.inf) -> float:
+    if issubclass(type(value), (Profile, dict)):
+        raise RodError(
+            f"rod {name} is a profile and can only be one number for the whole rod; give "
+            f"{_INSTEAD.get(name, 'its mean')}"
+        )
+    if arguments.wrong(arguments.number(least, above=0.0 if positive else None), value) is not None:
+        wanted = (
+            "a positive" if positive else "a" if least == -math.inf else f"at least {least:g}, a"
+        )
+        said = arguments.shown(value)
+        raise RodError(f"rod {name} is {said}; give {wanted} finite number in SI units")
+    return float(value)
+
+
+def as_profile(name: str, value) -> Profile:
+    try:
+        return Profile.of(value)
+    except RodError as error:
+        raise RodError(f"rod {name}: {error}") from None
+
+
+def as_pair(name: str, value, *, same: bool = False) -> tuple[Profile, Profile]:
+    if same and not issubclass(type(value), (tuple, list)):
+        value = (value, value)
+    if not issubclass(type(value), (tuple, list)) or len(value) != 2:
+        said = arguments.shown(value)
+        raise RodError(f"rod {name} is {said}; give two profiles, one per direction")
+    return as_profile(name, value[0]), as_profile(name, value[1])

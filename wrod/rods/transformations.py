@@ -6,7 +6,7 @@ from typing import Any, Self
 
 from wrod import arguments
 from wrod.errors import RodError
-from wrod.rods.numbers import as_number
+from wrod.rods.profile import as_number
 
 
 @dataclass(frozen=True)

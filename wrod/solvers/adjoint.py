@@ -23,10 +23,10 @@ from wrod.solvers.inelastic_adjoint import InelasticAdjoint
 from wrod.solvers.inertia import add_inertia
 from wrod.solvers.pair_adjoint import LawShares, PairAdjoint
 from wrod.solvers.property_adjoint import PropertyAdjoint
-from wrod.solvers.step_parts import StepParts
 from wrod.solvers.steps import SCHEMES
 from wrod.solvers.trace import (
     Record,
+    StepParts,
     bristle_arrays,
     make_wanted,
     require_differentiable,
