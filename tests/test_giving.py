@@ -34,10 +34,10 @@ def test_moments_at_the_gripper_are_those_that_the_wrist_reads(laboratory):
     rotation = laboratory.measurements.grip_rotation
     expected = -np.einsum("tij,ti->tj", rotation, torque) * [1.0, 1.0, 0.0]
     size = np.linalg.norm(expected, axis=1, keepdims=True)
-    # A quarter of an edge lies between the place of the one and of the other.
-    assert np.abs(soft.turn - expected).max() < 0.02 * size.max()
+    assert np.abs(soft.turn - expected).max() < 5e-3 * size.max()
+    assert (soft.turn * expected).sum() == pytest.approx((expected**2).sum(), rel=1e-4)
     assert np.linalg.norm(play.turn, axis=1) == pytest.approx(1.0)
-    assert play.turn == pytest.approx(expected / size, abs=0.05)
+    assert play.turn == pytest.approx(expected / size, abs=0.02)
 
 
 def test_a_loose_clamp_is_not_called_a_turned_one(laboratory):

@@ -12,6 +12,7 @@ from wrod.identification.effect import Effect, Model, Parameter
 _SETTLES = 3
 _TURN = 0.2  # [rad], as a turned end may well be
 _ENDS = {"clamp": "clamp A", "grip": "the gripper"}
+TURNS = {f"{end}_rotation" for end in _ENDS}
 
 
 class Giving(Effect):
@@ -46,8 +47,11 @@ def giving_of(laboratory, fit: Fit, end: str, has_play: bool) -> Giving:
     m, place = laboratory.measurements, 0 if end == "clamp" else -1
     solver, setup = laboratory.solver_at(fit.model, fit.values)
     frames, tangents = frames_of(solver)
-    curvature = bent(frames, tangents, m.material.length) - setup.natural_curvature
-    own = (setup.bending * curvature)[:, place]
+    curvature = bent(frames, tangents, m.material.length)
+    own = (setup.bending * (curvature - setup.natural_curvature))[:, place]
+    # The energy's slope in the angle of half an edge, of whose half the strain has the tangent.
+    tangent = 0.25 * m.material.length / laboratory.edge_count * curvature[:, place]
+    own *= 1.0 + (tangent**2).sum(axis=1, keepdims=True)
     # A moment is about the axis t x dt/ds; at its end the rod pulls the other way.
     along = np.stack([-own[:, 1], own[:, 0], 0.0 * own[:, 0]], axis=1)
     world = np.einsum("tij,tj->ti", frames[:, place], along if end == "clamp" else -along)
@@ -71,10 +75,6 @@ def giving_for(laboratory, fit: Fit, place: int) -> list[tuple[Effect, np.ndarra
         turned = giving.turn.sum(axis=0) @ values / size if len(values) == 3 else 0.0
         found.append((giving, np.array([turned])))
     return found
-
-
-def gives(model: Model) -> bool:
-    return any(isinstance(e, Giving) for e in model.effects)
 
 
 def settled(laboratory, fit: Fit) -> Fit:

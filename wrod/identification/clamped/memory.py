@@ -50,5 +50,7 @@ def bent(frames: np.ndarray, tangents: np.ndarray, length: float) -> np.ndarray:
     """
     cell = np.full(tangents.shape[1] - 1, length / (tangents.shape[1] - 2))
     cell[[0, -1]] *= 0.5  # what is inside a clamp does not bend
-    turning = np.diff(tangents, axis=1) / cell[:, None]
+    # Twice the tangent of half the angle between two edges, as the energy has it.
+    mean = 0.5 * np.linalg.norm(tangents[:, 1:] + tangents[:, :-1], axis=2, keepdims=True)
+    turning = np.diff(tangents, axis=1) / mean / cell[:, None]
     return np.einsum("tni,tnij->tnj", turning, frames[..., :2])

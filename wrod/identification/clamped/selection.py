@@ -235,7 +235,8 @@ def _or_another(laboratory: Laboratory, candidates, final: Fit, found: Selection
         if step.accepted:
             laboratory.refine(fits[0].model, fits[0].values)
             laboratory.set_noise(*estimate(laboratory, fits[0].model, fits[0].values))
-            best, steps = _weighed_anew(laboratory, fits[0]), [*found.rounds, step]
+            steps = [*found.rounds, step]
+            best = leaner(laboratory, _weighed_anew(laboratory, fits[0]), candidates, steps)
             best, held_out, doubts = refined(laboratory, best, steps, (base.rms, ahead.rms))
             again = judge(laboratory, best, base_fit(laboratory), steps, held_out, doubts)
             if again.verdict == "explained" and again.fit.model.effects:
@@ -273,7 +274,7 @@ def _or_built(laboratory: Laboratory, opening: _Opening, current: Fit, rounds, h
     if step.accepted is None or ahead.squares.sum() >= mine:
         return current, held_out
     rounds.append(step)
-    return fits[0], (held_out[0], ahead.rms)
+    return leaner(laboratory, fits[0], built, rounds), (held_out[0], ahead.rms)
 
 
 def _reaches_noise(laboratory: Laboratory, fit: Fit) -> bool:

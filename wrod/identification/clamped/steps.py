@@ -8,7 +8,7 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit, fit_models
-from wrod.identification.clamped.giving import gives, giving_for, settled
+from wrod.identification.clamped.giving import TURNS, giving_for, settled
 from wrod.identification.clamped.held_out import held_out_error
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import gain_of_scatter
@@ -213,8 +213,8 @@ def leaner(laboratory, current: Fit, candidates, rounds: list[Round]) -> Fit:
         fits = _special_cases(laboratory, current, candidates)
         _join_last(rounds, current, fits)
         # An end that gives is more than one that is turned: fewer numbers are no reason.
-        least = evident(current) - BIC_MARGIN
-        fits = [f for f in fits if gives(f.model) == gives(current.model) or evident(f) < least]
+        turned, least = TURNS & set(current.model.names), evident(current) - BIC_MARGIN
+        fits = [f for f in fits if not turned - set(f.model.names) or evident(f) < least]
         # Components of a profile are no free numbers.
         best = min([current, *fits], key=evident if has_profile(current.model) else lambda f: f.bic)
         if best is current:
