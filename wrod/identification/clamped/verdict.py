@@ -224,10 +224,11 @@ def _doubt(fit: Fit, measurements) -> str:
 def at_noise_of(laboratory: Laboratory) -> float:
     """Times the noise floor that a perfect model's test error may well be.
 
-    Correlated readings are few independent ones, so their RMS varies more.
+    Correlated markers are few independent ones, so their RMS varies more.
     """
-    m = laboratory.measurements
-    count = laboratory.effective[m.test].sum()
+    m, like = laboratory.measurements, laboratory.noise.markers(laboratory.measurements.arc_length)
+    seen = laboratory.read[m.test, : m.centerline[0].size].mean()
+    count = 3.0 * len(m.test) * seen * np.trace(like) ** 2 / (like * like).sum()
     return max(AT_NOISE, 1.0 + 2.5 / np.sqrt(2.0 * count))
 
 
