@@ -55,7 +55,7 @@ _FIRST_SEED = 9_000
 @click.option("--every", default=0.03, show_default=True, help="Way between two looks [m].")
 @click.option("--horizon", default=6.0, show_default=True,
               help="How far ahead the path is corrected after a look [L_gb].")  # fmt: skip
-@click.option("--patience", default=8.0, show_default=True,
+@click.option("--patience", default=4.0, show_default=True,
               help="Reckoned processor time that a look takes at most [s].")  # fmt: skip
 @click.option("--undisturbed", is_flag=True, help="The effect alone, without shaking and the rest.")
 @click.option("--finished", is_flag=True, help="Tell what is finished in OUT, and lay nothing.")

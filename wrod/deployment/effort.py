@@ -13,7 +13,7 @@ from wrod.rods.model import Rod
 # Processor time of a node for each second of a rod's way [s]: with the derivatives by a path, and
 # where plans are judged; by how much a card is faster; and of looking on, by the squared length
 # [s/m^2]. Of a core of an EPYC.
-_DERIVED, _JUDGED, _CARD, _LOOKING = 5e-4, 2e-4, 5.0, 260.0
+_DERIVED, _JUDGED, _CARD, _LOOKING = 5e-4, 2e-4, 5.0, 130.0
 # The grip's way over the contact's, by curvature [1/L_gb] and its slope [1/L_gb^2], as plans of
 # eighteen patterns with three rods have it within a sixth; what it takes before and after [s].
 _BY_CURVATURE, _BY_SLOPE, _BEGIN_AND_END, _HOLD = 1.08, 3.4, 2.2, 0.05

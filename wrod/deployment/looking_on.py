@@ -35,7 +35,7 @@ _LEAST_POSES = 3
 # lie than on the pattern, by twice the logarithm: three deviations of the camera's noise.
 _MOST_TIMES, _BEYOND_NOISE = 8, 9.0
 # Processor time that a look takes at most [s].
-PATIENCE = 8.0
+PATIENCE = 4.0
 # What lies on average so far from where it is believed to [L_gb] is not this rod in this frame.
 _STRAY = 3.0
 

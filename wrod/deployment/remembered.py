@@ -29,9 +29,9 @@ _EVERY, _RUNS = 0.4, 4
 _SAME = 1e-6
 # Keys that the grip's place at a moment depends on beyond it.
 _AHEAD = 2
-# Processor time of a node for each second of a deployment, and of each column of its derivatives
+# Processor time of a node for each step of a deployment, and of each column of its derivatives
 # besides [s]. Of a core of an EPYC.
-_LAID, _DERIVED = 3.4e-4, 3.7e-6
+_LAID, _DERIVED = 6.8e-6, 7.4e-8
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,9 @@ class LastDeployments:
         first = int(since / _EVERY + 1e-6) + 1
         yield from (k * _EVERY for k in range(first, int(np.ceil(end / _EVERY - 1e-6))))
 
-    def begun(self, told: tuple, setup: Setup, parts: LaidParts) -> float:
+    def begun(self, told: tuple, setup: Setup, parts: LaidParts, step: float) -> float:
         """Let a deployment that is `told` by such values, and has such a setup, go on from where
-        one was that began alike; the time [s] of that, 0 where none did."""
+        one was that began alike; the time [s] of that, 0 where none did. It takes steps [s]."""
         told = told, setup.arc_length, setup.position, setup.director
         said = sha256(pickle.dumps(told)).digest()
         schedule, best = setup.schedule, _Run(said, setup.schedule)
@@ -86,7 +86,7 @@ class LastDeployments:
         if best.moments:
             parts.put(best.moments[-1])
         each = _LAID + _DERIVED * (0 if parts.tangents is None else parts.tangents.count)
-        self.effort += each * parts.batch.node_count * (setup.measure_time - begun)
+        self.effort += each * parts.batch.node_count * (setup.measure_time - begun) / step
         return begun
 
     def keep(self, time: float, parts: LaidParts) -> None:

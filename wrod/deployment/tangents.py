@@ -205,7 +205,8 @@ def _laid(
         early = [c[0, ~columns[0][0].any(axis=(1, 2))] for c in columns[1:4]] if columns else []
         how = one.disturbance
         told = RodModel.of(one.rod), one.friction, how.lgb_error, how.natural_curvature
-        time = remembered.begun((*told, friction_field, discretisation, early), setup, parts)
+        told = *told, friction_field, discretisation, early
+        time = remembered.begun(told, setup, parts, discretisation.step)
         for stop in remembered.stops(setup.measure_time, time):
             dynamics.advance(stop, discretisation.step, progress=progress)
             remembered.keep(stop, parts)
