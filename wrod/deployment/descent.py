@@ -107,23 +107,6 @@ def expected_error(told: dict) -> float:
     return balanced(np.array(told["error_robot"]), np.array(told["beside"]))[0]
 
 
-def damped_step(matrix: np.ndarray, slope: np.ndarray, radius: float) -> tuple[np.ndarray, bool]:
-    """The change (n,) by which a quadratic model gets least, of a matrix (n, n) and a slope (n,),
-    and whether it was damped until none of it was larger than `radius`: cut, it would lose what is
-    well determined with what is not."""
-    stiff, modes = np.linalg.eigh(matrix)
-    along = modes.T @ slope
-
-    def excess(damping: float) -> float:
-        return float(np.abs(modes @ (along / (stiff + damping))).max()) - radius
-
-    damping = 0.0
-    if excess(0.0) > 0.0:
-        most = np.log(stiff[-1] + np.abs(slope).sum() / radius)
-        damping = float(np.exp(brentq(lambda log: excess(np.exp(log)), -50.0, most)))
-    return -modes @ (along / (stiff + damping)), damping > 0.0
-
-
 @dataclass(frozen=True)
 class State:
     """What corrections `values` come to: mean errors (rod,) [m], their measure, and the value, the
@@ -137,8 +120,18 @@ class State:
     slope: np.ndarray
 
     def step(self, radius: float) -> tuple[np.ndarray, bool]:
-        """`damped_step` of the model."""
-        return damped_step(self.matrix, self.slope, radius)
+        """The change by which the model's value gets least, and whether it was damped until none of
+        it was larger than `radius`: cut, it would lose what is well determined with what is not."""
+        stiff, modes = np.linalg.eigh(self.matrix)
+
+        def damped(damping: float) -> np.ndarray:
+            return -modes @ (modes.T @ self.slope / (stiff + damping))
+
+        if not np.abs(damped(0.0)).max() > radius:
+            return damped(0.0), False
+        most = np.log(stiff[-1] + np.abs(self.slope).sum() / radius)
+        root = brentq(lambda log: np.abs(damped(np.exp(log))).max() - radius, -50.0, most)
+        return damped(np.exp(root)), True
 
     def saved(self, step: np.ndarray) -> float:
         """By the model, the share of the value that a step saves."""

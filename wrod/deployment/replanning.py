@@ -8,7 +8,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from wrod.deployment.beliefs import Beliefs
-from wrod.deployment.descent import damped_step
 from wrod.deployment.expectation import misplacement
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.tangents import Directions
@@ -26,6 +25,8 @@ _STEP, _SHORTER, _SHORT, _LONGER, _KEPT_PROMISE = 0.35, 0.3, 0.5, 2.0, 0.5
 # So many steps are tried at most, and none that would save less by its model than that part, or
 # than a root mean square of that [m]: that is taken on trust, up to such a size [L_gb].
 _STEPS, _DONE, _FELT, _TRUSTED = 10, 0.1, 1e-4, 0.03
+# Damping of a step, relative to errors of 1 L_gb, that is tried first where it would be too large.
+_DAMPING = 1e-6
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
 HORIZON = 6.0
 # Over so much of the way the grip goes to where it is to be after a look [m]: were it to leave its
@@ -176,16 +177,16 @@ class Moment:
             return float(np.hypot(*point.error.reshape(2, -1))[lies].sum())
 
         first = now = yield from at(np.zeros(len(cost)))
-        radius = _STEP
+        radius, damping = _STEP, _DAMPING * METRIC_POINTS * lgb**2
         for _ in range(_STEPS if np.isfinite(now.value) else 0):
-            best = now.after(now.step(np.inf))
+            best = now.after(now.step(np.inf, damping))
             if min(lying(now), lying(best)) > bar:
                 break
-            step = now.step(radius)
+            step = now.step(radius, damping)
             length, promised = np.abs(step).max(), now.value - now.after(step).value
             worth = promised > max(_DONE * now.value, METRIC_POINTS * _FELT**2)
             if not worth or beliefs.hurried(share):
-                now = now.after(now.step(min(radius, _TRUSTED)))
+                now = now.after(now.step(min(radius, _TRUSTED), damping))
                 break
             tried = yield from at(now.values + step)
             saved = now.value - tried.value
@@ -237,8 +238,13 @@ class _Point:
         error = self.error + self.rates @ step
         return replace(self, values=self.values + step, error=error)
 
-    def step(self, radius: float) -> np.ndarray:
-        """(n,) by which they get least, see `damped_step`."""
+    def step(self, radius: float, damping: float) -> np.ndarray:
+        """(n,) by which they get least, damped until none of it is larger than `radius`: cut, it
+        would lose what is well determined with what is not."""
         matrix = self.rates.T @ self.rates + self.cost
         slope = self.rates.T @ self.error + self.cost @ self.values
-        return damped_step(matrix, slope, radius)[0]
+        step = -np.linalg.solve(matrix, slope)
+        while np.abs(step).max() > radius:
+            step = -np.linalg.solve(matrix + damping * np.eye(len(slope)), slope)
+            damping *= 1.2
+        return step
