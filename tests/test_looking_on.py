@@ -74,8 +74,8 @@ class Cell:
 
 
 def test_a_loop_of_your_own_makes_up_for_a_robot_beside_its_place(bend, loop):
-    """With poses out and points in, and nothing else; by looks of half a second."""
-    loop = wrod.FeedbackLoop(bend[0], ROD, bend[1], 0.6, every=0.06, patience=0.5)
+    """With poses out and points in, and nothing else; by looks of a quarter of a second."""
+    loop = wrod.FeedbackLoop(bend[0], ROD, bend[1], 0.6, every=0.06, patience=0.25)
     cell = Cell(bend[0])
     while loop.ahead is not None:
         cell.go(loop)
@@ -131,7 +131,7 @@ def test_pictures_that_are_none_of_this_rod_are_refused_and_change_nothing(bend,
 def test_pictures_that_come_late_count_where_they_were_taken(bend, loop):
     """As told by the pose of the grip then: half a second before, what hangs was elsewhere."""
     loop, cell = (
-        wrod.FeedbackLoop(bend[0], ROD, bend[1], 0.6, every=0.06, patience=0.3),
+        wrod.FeedbackLoop(bend[0], ROD, bend[1], 0.6, every=0.06, patience=0.15),
         Cell(bend[0]),
     )
     for wrong in (-1, 10, 11, len(loop.ahead), 1.5):  # the tenth ends what is held
