@@ -25,12 +25,7 @@ def command(
     rod_name: str = option(None, "--rod", default="green-vps"),
     names: str = option("Patterns.", default="letter-U,letter-A"),
     friction: float = option(None, default=0.3),
-    times: int = option(
-        "Runs of each plan after the first, which finds nothing compiled or cached; the median "
-        "is told.",
-        default=1,
-        type=click.IntRange(1, 100),
-    ),
+    times: int = option("Runs of each plan after the first; the median is told.", default=1),
     together: int = option("Optimise so many plans of random patterns together, too.", default=0),
     device: str = option("cpu, cuda:0 or auto.", default="auto"),
 ) -> None:

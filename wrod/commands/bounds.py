@@ -72,6 +72,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "train --rows": (100, 2**30),
     "train --test": (1, 10**6),
     "bench optimised --together": (0, 10_000),
+    "bench optimised --times": (1, 1_000),
     "bench grasp --count": (4, 1_000_000),
     "bench feedback --horizon": (2.0, 1e3),
     "bench feedback --patience": (1e-3, 1e9),
