@@ -8,12 +8,11 @@ gone wrong, and that it can be laid better, the grip goes back, lifts it, and la
 """
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
 from wrod import arguments
-from wrod.deployment.beliefs import Beliefs, meshed_to_the_end
+from wrod.deployment.beliefs import meshed_to_the_end
 from wrod.deployment.bounds import refuse_another_rod
 from wrod.deployment.discretisation import USUAL
 from wrod.deployment.looking_on import FeedbackLoop, Look
@@ -140,7 +139,8 @@ def following(
     def seen(lies: Laid, at: float) -> list[Seen]:
         return [Seen.of(lies, at, sight, rng) for _ in range(sight.pictures)]
 
-    tell = partial(_know, plant) if known else None
+    truth = plant.friction.static, plant.disturbance, plant.friction_field
+    tell = (lambda believed: believed.know(*truth)) if known else None
     looks = []
     while True:
         held = {"release": loop.gone + hold} if loop.held else {}
@@ -148,7 +148,3 @@ def following(
         looks.append((yield from loop.looked(seen(lies, loop.laid), tell)))
         if loop.ended:
             return Followed(loop.way.path, lies, looks)
-
-
-def _know(plant: Plant, beliefs: Beliefs) -> None:
-    beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
