@@ -34,16 +34,19 @@ _GPU = (
 _HERE = Path(__file__).parent
 
 
-def leave_out_adjoints() -> None:
-    """Out of what is compiled of Newton's from now on."""
+def leave_out_adjoints() -> str:
+    """Out of what is compiled of Newton's from now on; the folder that all is compiled to."""
+    import warp as wp
+    import wrod.kernels  # noqa: F401  which starts Warp quietly
+
     for name in FORWARD:
-        sys.modules["warp"].get_module(f"newton._src.{name}").options["enable_backward"] = False
+        wp.get_module(f"newton._src.{name}").options["enable_backward"] = False
+    return wp.config.kernel_cache_dir
 
 
 def _compile(name: str) -> str | None:
     """Do a part of the work; what went wrong, if anything."""
     import warp as wp
-    import wrod.kernels  # noqa: F401  which starts Warp quietly
 
     try:
         if name.startswith("wrod.kernels."):

@@ -2,7 +2,6 @@
 
 import gc
 import os
-import sys
 from collections import Counter
 from pathlib import Path
 
@@ -18,30 +17,24 @@ gc.set_threshold(100_000, 20, 20)
 
 
 # Kernels' modules that were compiled before the first test, and that tests had to wait for.
-_there: set[str] = set()
+_there: dict[str, set[str]] = {}  # by the folder that they are in
 _by_the_way: set[str] = set()
 
 
-def _compiled():
-    import wrod.kernels  # noqa: F401  which starts Warp, and so says where they are
-
-    return set(os.listdir(sys.modules["warp"].config.kernel_cache_dir))
-
-
-def pytest_collection_finish():
+def pytest_collection_finish(session):
     """Leave what has been imported out of further searches for garbage, and adjoints that nobody
     launches out of what is compiled."""
+    if session.items:  # one of several processes that only hands them out has none
+        folder = leave_out_adjoints()
+        _there[folder] = set(os.listdir(folder))
     gc.freeze()
     gc.enable()
-    if "warp" in sys.modules:
-        leave_out_adjoints()
-        _there.update(_compiled())
 
 
 def pytest_sessionfinish(session):
     """Tell what was compiled by the way, of each process of several."""
     told = getattr(session.config, "workeroutput", {})
-    told["compiled"] = sorted(_compiled() - _there) if "warp" in sys.modules else []
+    told["compiled"] = [n for f, had in _there.items() for n in os.listdir(f) if n not in had]
     _by_the_way.update(told["compiled"])
 
 
