@@ -22,7 +22,13 @@ FORWARD = (
     "solvers.xpbd.kernels",
     "viewer.kernels",
 )
-_NEWTON = (*FORWARD, "geometry.differentiable_contacts", "geometry.narrow_phase", "sim.collide")
+_NEWTON = (
+    *FORWARD,
+    "geometry.broad_phase_nxn",
+    "geometry.differentiable_contacts",
+    "geometry.narrow_phase",
+    "sim.collide",
+)
 _GPU = (
     "factor_lanes",
     "banded_ends",
