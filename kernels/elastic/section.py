@@ -42,7 +42,7 @@ def make_section_energy(response: wp.Function, numbers: type) -> wp.Kernel:
         numbers: Warp type of what the energy has at each node.
     """
 
-    @wp.kernel
+    @wp.kernel(module="unique", enable_backward=False)
     def section_energy(
         # Model:
         model: ElasticModel,

@@ -25,7 +25,8 @@ _LONG = (
     "grasping.iteration:solve_straight",
     "elastic.bending:elasticity",
     "elastic.softened_bending:softened_elasticity",
-    "elastic.section",
+    "elastic.inelastic:inelastic_energy",
+    "elastic.bend_twist:bend_twist_energy",
     "stepping.motion_tangents",
     "linear.banded_lu:assemble",
 )
