@@ -16,7 +16,7 @@ from wrod.files.ledger import Ledger
 from wrod.files.row_schemas import FoldRow
 from wrod.machine import machine_line
 from wrod.options import FOLDER, SOURCE_FOLDER, option, own_options
-from wrod.telling import asked, json_option, tell
+from wrod.telling import json_option, tell
 
 
 def fold_row(
@@ -192,12 +192,6 @@ def command(
     }
     if out:
         write_json(out / "cables.json", content, allow_nan=False)
-    if asked("json"):
-        tell(content)
-        return
     kind = "contiguous folds" if contiguous else "folds of every n-th recording"
-    click.echo(f"{content['machine']}; {number} {kind}")
-    for part in found:
-        click.echo("\n".join(lines(part)))
-    if out:
-        click.echo(f"wrote {out / 'cables.json'}")
+    written = [f"wrote {out / 'cables.json'}"] if out else []
+    tell(content, f"{number} {kind}", *(line for part in found for line in lines(part)), *written)
