@@ -28,6 +28,7 @@ from wrod.machine import machine_line
 from wrod.options import refuse_idle_options
 from wrod.planning.roll import read_roll
 from wrod.rods.catalogue import rod
+from wrod.rods.material import RodMaterial
 from wrod.rods.model import Rod, RodModel
 from wrod.solvers.friction import Friction
 
