@@ -204,13 +204,10 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
             group.dynamics.max_iterations = self._max_iterations
         self._gradients = Gradients(model, self._groups)
         held = [b for b in self._holds.bodies if not self._own[b]]
-        touching = [c for g in self._groups for c in (g.shape_contact, g.body_contact) if c]
-        self._is_felt = bool(held or touching)
-        moved = model.body_flags.numpy()[held] & int(newton.BodyFlags.DYNAMIC) != 0
-        massive = model.body_mass.numpy()[held] > 0
-        self._others = [b for b, m in zip(held, moved & massive, strict=True) if m]
+        self._is_felt = bool(held) or any(g.shape_contact or g.body_contact for g in self._groups)
         flags, mass = model.body_flags.numpy(), model.body_mass.numpy()
         dynamic = (flags & int(newton.BodyFlags.DYNAMIC) != 0) & (mass > 0)
+        self._others = [b for b in held if dynamic[b]]
         self._is_shared = bool((dynamic & ~self._own).any())
 
     @property
