@@ -20,16 +20,18 @@ from wrod.solvers.solids import Cylinder
 _STEP = 0.004
 # The rod's first piece is laid at once; gates begin and end so far from the pattern's ends [m].
 _FIRST, _GATE, _LAST = 0.05, 0.03, 0.01
-_HEIGHT = 0.004  # [m] of posts
 
 
-def approach(pattern: Pattern, rod: RodMaterial, height: float) -> tuple[np.ndarray, np.ndarray]:
+def approach(
+    pattern: Pattern, rod: RodMaterial, height: float, *, closure: str = "min_friction"
+) -> tuple[np.ndarray, np.ndarray]:
     """How far to the side a rod is while it comes down to its pattern.
 
     Args:
         pattern: what is laid.
         rod: with which rod.
         height: of posts [m].
+        closure: of the plan.
 
     Returns:
         places (n,) along the pattern [m], and the largest distance (n,) of the hanging rod's
@@ -44,7 +46,7 @@ def approach(pattern: Pattern, rod: RodMaterial, height: float) -> tuple[np.ndar
         (rod.length - laid) / lgb,
         curvature * lgb,
         np.full(len(laid), rod.stretch_ratio),
-        closure="min_friction",
+        closure=closure,
         device="cpu",
     )
     frame = np.stack([tangent, _left(tangent), np.tile([0.0, 0.0, 1.0], (len(laid), 1))], axis=2)
@@ -111,6 +113,9 @@ def design_gates(
     *,
     pitch: float,
     radius: float = 0.004,
+    height: float = 0.004,
+    closure: str = "min_friction",
+    name: str | None = None,
 ) -> Fixtures:
     """Pairs of posts between which a plan lays a rod, about `pitch` apart.
 
@@ -125,7 +130,9 @@ def design_gates(
         rod: with its radius.
         pitch: wanted distance between gates; none are less than half or more than one and a half
             of it apart [m].
-        radius: of the posts [m].
+        radius, height: of the posts [m].
+        closure: of the plan.
+        name: of the scene.
 
     Raises:
         PatternError: the pattern is too short, or the posts would stand in each other's or the
@@ -138,7 +145,7 @@ def design_gates(
             f"{pattern.source}: is {pattern.length:.3g} m long, too short for gates {pitch:g} m "
             "apart; give a smaller pitch"
         )
-    places, side = approach(pattern, rod, _HEIGHT)
+    places, side = approach(pattern, rod, height, closure=closure)
     chosen = _choose(places, np.abs(side), pitch, pattern.length)
     position, tangent, _ = pattern.sample(places[chosen])
     clear = 3.0 * sideways_deviation(pattern, rod, places[chosen], side[chosen])
@@ -150,10 +157,10 @@ def design_gates(
         for label, sign in (("left", 1.0), ("right", -1.0)):
             away = sign * (margin + max(sign * off, 0.0) + radius)
             x, y = (float(v) for v in np.round((point + away * left)[:2], 5))
-            post = Cylinder((x, y, _HEIGHT / 2), radius, _HEIGHT / 2)
+            post = Cylinder((x, y, height / 2), radius, height / 2)
             items.append(Fixture(f"{k}-{label}", post))
         gates.append((f"{k}-left", f"{k}-right"))
-    scene = Fixtures(tuple(items), tuple(gates), pattern.name)
+    scene = Fixtures(tuple(items), tuple(gates), name or pattern.name)
     _check(scene, pattern, rod)
     return scene
 

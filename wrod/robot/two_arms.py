@@ -66,6 +66,7 @@ def solve_two_arms(
     film: HandFilm,
     ground: np.ndarray,
     *,
+    robot="sawyer",
     placements: tuple[Placement, Placement] | None = None,
 ) -> ArmFilm:
     """Joint paths of two arms, one for each hand.
@@ -77,6 +78,7 @@ def solve_two_arms(
     Args:
         film: of the hands; a second hand is idle if there is only one.
         ground: (n, 3) points of the table that must lie before the arms [m].
+        robot: as for `wrod.load_robot`.
         placements: tried first, as found for a similar film.
 
     Raises:
@@ -91,7 +93,7 @@ def solve_two_arms(
             film.rods,
         )
     with one_torch_thread():
-        arm = load_robot()
+        arm = load_robot(robot)
         model = CollisionModel(arm)
         hand = Hand.of(model)
         transfers = find_transfers(film)
