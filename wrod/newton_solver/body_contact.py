@@ -6,7 +6,6 @@ import warp as wp
 
 from wrod.kernels.stepping import body_contact as kernels
 from wrod.kernels.stepping import body_meetings as meetings
-from wrod.kernels.stepping import meeting_adjoint as adjoint
 from wrod.kernels.stepping.carrying import Pose
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.friction import contact_damping
@@ -109,8 +108,10 @@ class BodyContact:
 
     def keep(self, accepted: wp.array, count: wp.array) -> None:
         """Keep it for the step `count` (row,) of accepted rows."""
+        from wrod.kernels.stepping.meeting_adjoint import keep_bristles
+
         inputs = [self._meeting, accepted, count, self._bristle] if self._size else []
-        self._launch(adjoint.keep_bristles, inputs, [self._kept])
+        self._launch(keep_bristles, inputs, [self._kept])
 
     def kept(self, steps: int) -> tuple[wp.array, ...] | None:
         """(meeting,) contacts of the step that was taken last, (step, meeting) what friction held,

@@ -19,7 +19,7 @@ from wrod.newton_solver.carried_gradients import CarriedGradients
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.meeting_gradients import MeetingGradients
 from wrod.newton_solver.taken_steps import STATE, StepEnd, Taken, gradient_of, numbers_of
-from wrod.newton_solver.tapes import off_tape, recorded
+from wrod.newton_solver.tapes import off_tape
 from wrod.rods.discretisation import of_free_part
 from wrod.solvers.adjoint import StepAdjoint
 from wrod.solvers.body_adjoint import BodyAdjoint
@@ -316,15 +316,6 @@ class Gradients:
     def __init__(self, model: newton.Model, groups: list[RodGroup]):
         self.model = model
         self._groups = [GroupGradients(group) for group in groups]
-
-    def refuse(self, what: str) -> None:
-        """Refuse what has no gradients while a tape is recorded that wants them.
-
-        Raises:
-            RodError: one is.
-        """
-        if self.model.requires_grad and recorded() is not None:
-            raise RodError(f"{what} have no gradients on a wp.Tape; call it outside the tape")
 
     def listen(
         self, tape: wp.Tape | None, parts: int, state_in, state_out, moved

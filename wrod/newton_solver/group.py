@@ -19,7 +19,7 @@ from wrod.solvers.compiling import compile_steps
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.friction import Friction
 from wrod.solvers.inertia import rounding_of, usual_force
-from wrod.solvers.pair_adjoint import LawShares
+from wrod.solvers.kept_pairs import LawShares
 from wrod.solvers.rod_contact import RodContact
 
 # Rods against each other: at least this stiff, in EA / radius, or by so many times an edge's weight

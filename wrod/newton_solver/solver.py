@@ -3,6 +3,7 @@
 import warnings
 import weakref
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -19,14 +20,13 @@ from newton.solvers import SolverBase
 from wrod.newton_solver import attributes, notes
 from wrod.newton_solver.adding import RodBuilding
 from wrod.newton_solver.body_contact import colliding_bodies
-from wrod.newton_solver.gradients import Gradients, leave_gradients
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.holds import Holds
 from wrod.newton_solver.loads import Loads
 from wrod.newton_solver.owned import choose_bodies
 from wrod.newton_solver.rows import find_rows
 from wrod.newton_solver.shapes import ModelShapes
-from wrod.newton_solver.tapes import off_tape
+from wrod.newton_solver.tapes import off_tape, refuse
 from wrod.rods.device import OnDevice
 from wrod.solvers.dynamics import SCHEMES
 
@@ -150,7 +150,9 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         """
         super().__init__(model=model)
         der = attributes.require(model)
-        if model.requires_grad:
+        if model.requires_grad:  # with adjoints, which take a second to load
+            from wrod.newton_solver.gradients import leave_gradients
+
             leave_gradients(model, consistent=inertia == "consistent")
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
@@ -185,24 +187,13 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         shapes = ModelShapes(model, self._own)
         colliding = colliding_bodies(model, self._own)
         self._colliding = np.flatnonzero(colliding)
-        self._groups = [
-            RodGroup(
-                model,
-                rows,
-                shapes,
-                self._poses,
-                self._holds,
-                self._own,
-                colliding,
-                self._contact_stiffness,
-                self._rod_options,
-                self._options,
-            )
-            for rows in find_rows(model, self._holds, self._own, colliding, self._rods_meet)
-        ]
+        bodies = self._poses, self._holds, self._own, colliding
+        options = self._contact_stiffness, self._rod_options, self._options
+        rows = find_rows(model, self._holds, self._own, colliding, self._rods_meet)
+        self._groups = [RodGroup(model, some, shapes, *bodies, *options) for some in rows]
         for group in self._groups:
             group.dynamics.max_iterations = self._max_iterations
-        self._gradients = Gradients(model, self._groups)
+        self._gradients: Any = None
         held = [b for b in self._holds.bodies if not self._own[b]]
         self._is_felt = bool(held) or any(g.shape_contact or g.body_contact for g in self._groups)
         flags, mass = model.body_flags.numpy(), model.body_mass.numpy()
@@ -293,7 +284,11 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         device = self.model.device
         if device.is_cuda and not device.is_capturing:
             self._listen()  # What earlier steps have told by now.
-        put = self._gradients.listen(tape, parts, state_in, state_out, moved)
+        if self._gradients is None and tape is not None and self.model.requires_grad:
+            from wrod.newton_solver.gradients import Gradients
+
+            self._gradients = Gradients(self.model, self._groups)
+        put = self._gradients and self._gradients.listen(tape, parts, state_in, state_out, moved)
         for group in self._groups:
             group.step(state_in, contacts, dt, dt / parts)
         if put is not None:
@@ -340,7 +335,7 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         Raises:
             RodError: A tape is recorded, on which these loads have no gradients.
         """
-        self._gradients.refuse("loads of rods on bodies that others move")
+        refuse(self.model, "loads of rods on bodies that others move")
         self._loads.taken = True
         self._loads.add_to(state)
 

@@ -4,12 +4,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import warp as wp
+from newton import Model
 from warp._src import context  # the only way there
 
+from wrod.errors import RodError
 
-def recorded() -> wp.Tape | None:
-    """The tape that is being recorded, if any."""
-    return context.runtime.tape
+
+def refuse(model: Model, what: str) -> None:
+    """Refuse what has no gradients while a tape is recorded that wants them.
+
+    Raises:
+        RodError: one is.
+    """
+    if model.requires_grad and context.runtime.tape is not None:
+        raise RodError(f"{what} have no gradients on a wp.Tape; call it outside the tape")
 
 
 @contextmanager

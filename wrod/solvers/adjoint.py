@@ -21,7 +21,8 @@ from wrod.solvers.contact_adjoint import ContactAdjoint
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.inelastic_adjoint import InelasticAdjoint
 from wrod.solvers.inertia import add_inertia
-from wrod.solvers.pair_adjoint import LawShares, PairAdjoint
+from wrod.solvers.kept_pairs import LawShares
+from wrod.solvers.pair_adjoint import PairAdjoint
 from wrod.solvers.property_adjoint import PropertyAdjoint
 from wrod.solvers.steps import SCHEMES
 from wrod.solvers.trace import (

@@ -14,7 +14,6 @@ import warp as wp
 from wrod.kernels.compiling import compile_ahead, wait
 from wrod.kernels.lanes import TEAM, WARP
 from wrod.kernels.linear.two_warps import ENDS
-from wrod.kernels.stepping import deployment_tangents
 
 _WIDE = 256  # Warp's own
 # Modules of `wrod.kernels`, by what launches them and the size of its blocks; a kernel after a
@@ -116,6 +115,8 @@ def compile_steps_ahead(device: str, *more: str) -> list[Future]:
             return []
         tangents = _TANGENTS if "tangents" in more else ()
         if tangents:
+            from wrod.kernels.stepping import deployment_tangents
+
             deployment_tangents.vector_of(deployment_tangents.PACK)
         whole = [_ON_CPU.get(name, name) for name, _ in names] + [*tangents]
         names = {(name, 1): None for name in whole}

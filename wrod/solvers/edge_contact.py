@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 
 from wrod.errors import RodError
-from wrod.kernels.contact import depths, edge_adjoint, energies
+from wrod.kernels.contact import depths, energies
 from wrod.kernels.contact import edges as kernels
 from wrod.kernels.contact.law import ContactStep, Touchable
 from wrod.rods.arrays import filled
@@ -86,8 +86,9 @@ class EdgeContact:
 
     def find_unknown(self, step: ContactStep, touching: wp.array) -> None:
         """Raise `touching` (rod,) of the chosen rods that touch what has no adjoint."""
-        inputs = [self.model, self._hidden, step]
-        self.batch.launch_edges(edge_adjoint.find_unknown, inputs, [touching])
+        from wrod.kernels.contact.edge_adjoint import find_unknown
+
+        self.batch.launch_edges(find_unknown, [self.model, self._hidden, step], [touching])
 
     def bear(self, burden: np.ndarray) -> None:
         """Let shapes press: see `Contact.bear`."""

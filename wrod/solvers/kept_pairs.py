@@ -1,7 +1,9 @@
 """Pairs of edges that touch, kept for what goes back through steps."""
 
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from wrod.kernels.contact.pair_contact import Rubbing
@@ -10,6 +12,18 @@ from wrod.rods.arrays import filled
 
 # With how many later edges one may touch at once.
 SLOTS = 8
+
+
+@dataclass(frozen=True)
+class LawShares:
+    """How the logarithm of the stiffness of a row's pairs follows what its rods are made of: by
+    stretching stiffness, logarithm of the radius and rest length (rod, edge), and mass (rod, node).
+    """
+
+    by_stretching: np.ndarray
+    by_radius: np.ndarray
+    by_length: np.ndarray
+    by_mass: np.ndarray
 
 
 class KeptPairs:

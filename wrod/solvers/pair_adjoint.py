@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,25 +15,13 @@ from wrod.kernels.linear import skyline_lu, skyline_order
 from wrod.kernels.stepping.adjoint import fill_coupled
 from wrod.rods.arrays import filled
 from wrod.solvers.coupled import skyline_of
-from wrod.solvers.kept_pairs import SLOTS, KeptPairs
+from wrod.solvers.kept_pairs import SLOTS, KeptPairs, LawShares
 
 if TYPE_CHECKING:
     from wrod.solvers.dynamics import Dynamics
 
 # How many blocks a row of the factor may have on average.
 _BLOCKS = 400
-
-
-@dataclass(frozen=True)
-class LawShares:
-    """How the logarithm of the stiffness of a row's pairs follows what its rods are made of: by
-    stretching stiffness, logarithm of the radius and rest length (rod, edge), and mass (rod, node).
-    """
-
-    by_stretching: np.ndarray
-    by_radius: np.ndarray
-    by_length: np.ndarray
-    by_mass: np.ndarray
 
 
 class PairAdjoint:
