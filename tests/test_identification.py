@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.interpolate import CubicSpline
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from wrod.commands import main
 from wrod.errors import DataError
-from wrod.identification import identify, load_measurements
+from wrod.identification import entry, identify, load_measurements
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
+from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.setup import ClampedSetup, rotation_of
 from wrod.identification.clamped.steps import base_fit
 from wrod.identification.clamped.trace import trace
@@ -539,3 +541,14 @@ def test_blind_sets_end_at_the_noise(shared, letter):
     report = identify(shared / "measured" / "clamped" / f"set-{letter}.npz")
     assert report.verdict in ("adequate", "explained")
     assert report.after < 1.15 * report.noise_floor
+
+
+def test_blas_has_one_thread_while_a_rod_is_identified(monkeypatch):
+    def threads():
+        return {lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"}
+
+    monkeypatch.setattr(entry, "identify_clamped", lambda *_: threads())
+    with threadpool_limits(2, "blas"):
+        assert threads() == {2}
+        assert entry.identify(object.__new__(ClampedMeasurements)) == {1}
+        assert threads() == {2}

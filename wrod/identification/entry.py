@@ -3,6 +3,8 @@
 import os
 from typing import Any, overload
 
+from threadpoolctl import threadpool_limits
+
 from wrod import cost
 from wrod.errors import DataError
 from wrod.identification.clamped.loading import load_measurements
@@ -25,6 +27,8 @@ def identify(measurements: LaidMeasurements, **options: Any) -> LaidFit: ...
 def identify(
     measurements: MotionMeasurements | str | os.PathLike[str], **options: Any
 ) -> IdentificationReport | MotionReport: ...
+# BLAS's threads wait for each other by spinning, for longer than these small matrices take.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def identify(
     measurements: Measurements | str | os.PathLike[str], **options: Any
 ) -> IdentificationReport | MotionReport | LaidFit:
