@@ -9,10 +9,12 @@ from test_identification import FEW_NAMES, synthetic
 
 from wrod.commands import main
 from wrod.identification import identify
+from wrod.identification.clamped import selection
 from wrod.identification.clamped.clock import Clock, OutOfTime
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
+from wrod.identification.clamped.noise import NoiseModel
 from wrod.identification.effect import Model, effects
 
 
@@ -52,6 +54,21 @@ def test_where_there_is_no_time_to_judge_either_the_base_model_is(bent, monkeypa
     report = identify(measurements_from_arrays(bent), candidates=FEW_NAMES, seconds=1e-3)
     assert report.verdict == "unexplained" and not report.effects
     assert report.reason.startswith("0.001 s were not enough")
+
+
+def test_what_was_judged_stays_where_another_model_takes_too_long(bent, monkeypatch):
+    def another(laboratory, *rest):
+        laboratory.set_noise(NoiseModel())
+        raise OutOfTime
+
+    laboratory, only = Laboratory(measurements_from_arrays(bent)), [effects()["stiffness"]]
+    found = selection.select(laboratory, only)
+    noise, laboratory.clock = laboratory.noise, Clock(600.0)
+    monkeypatch.setattr(selection, "_another", another)
+    again = selection._or_another(laboratory, only, found.fit, found)
+    assert found.verdict == again.verdict == "unexplained" and again.out_of_time
+    assert again.fit is found.fit and again.reason.startswith("600 s were not enough")
+    assert laboratory.noise is noise
 
 
 def test_a_command_whose_time_is_over_at_once_says_so(bent, tmp_path):

@@ -82,8 +82,7 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, build: bool = Fa
 
 
 def _so_far(laboratory: Laboratory) -> Selection:
-    """The verdict on the best that was fitted before the time was over; where that would take
-    longer than it has, on the base model, which is judged however long it takes."""
+    """The verdict on the best fitted in time; where that takes too long, on the base model."""
     clock, laboratory.clock = laboratory.clock, Clock()
     empty = base_fit(laboratory)
     before = held_out_error(laboratory, empty).rms
@@ -211,13 +210,25 @@ def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, k
 
 
 def _or_another(laboratory: Laboratory, candidates, final: Fit, found: Selection) -> Selection:
-    """The verdict on what was found, or on another model that explains all: one of effects that are
-    built, where something is seen beside those that were found; else one of what comes or goes,
-    where something is found to change, or trials that come later are missed by more than those
-    that were fitted."""
+    """The verdict on what was found, or on another model that explains all: of built effects, where
+    something is seen beside those that were found; else of what comes or goes, where something is
+    found to change, or trials that come later are missed by more than those that were fitted."""
     if found.verdict in ("explained", "adequate"):
         return found
     noise, correction = (laboratory.noise, laboratory.scatter_rates), laboratory.mesh_correction
+    try:
+        if another := _another(laboratory, candidates, final, found):
+            return another
+    except OutOfTime:
+        found = only_so_far(found, laboratory.clock.seconds)
+    laboratory.mesh_correction = correction
+    laboratory.set_noise(*noise)
+    return found
+
+
+def _another(laboratory: Laboratory, candidates, final: Fit, found: Selection) -> Selection | None:
+    """The verdict on another model, if that explains all."""
+    fits: list[Fit] = []
     if found.left_over and found.left_over.evidence > LEFT_OVER and not found.changing:
         empty = base_fit(laboratory)
         fits = extensions(laboratory, empty, _built(laboratory, found.ranking))
@@ -227,8 +238,6 @@ def _or_another(laboratory: Laboratory, candidates, final: Fit, found: Selection
         few = 0 < len(final.model.effects) < MOST_EFFECTS and not has_profile(final.model)
         fits = with_drift(laboratory, candidates, empty)
         fits = best_of_each([*fits, *(with_drift(laboratory, candidates, final) if few else [])])
-    else:
-        return found
     if fits:
         base = held_out_error(laboratory, empty)
         step, ahead = judged(laboratory, empty, empty, fits[0], fits, base)
@@ -241,9 +250,7 @@ def _or_another(laboratory: Laboratory, candidates, final: Fit, found: Selection
             again = judge(laboratory, best, base_fit(laboratory), steps, held_out, doubts)
             if again.verdict == "explained" and again.fit.model.effects:
                 return again
-    laboratory.mesh_correction = correction
-    laboratory.set_noise(*noise)
-    return found
+    return None
 
 
 def _built(laboratory: Laboratory, singles: list[Fit], above: float = -np.inf) -> list[Effect]:
