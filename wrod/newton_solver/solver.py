@@ -194,6 +194,10 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         for group in self._groups:
             group.dynamics.max_iterations = self._max_iterations
         self._gradients: Any = None
+        if model.requires_grad:  # now, as steps may be captured, where nothing can be kept
+            from wrod.newton_solver.gradients import Gradients
+
+            self._gradients = Gradients(model, self._groups)
         held = [b for b in self._holds.bodies if not self._own[b]]
         self._is_felt = bool(held) or any(g.shape_contact or g.body_contact for g in self._groups)
         flags, mass = model.body_flags.numpy(), model.body_mass.numpy()
@@ -284,10 +288,6 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         device = self.model.device
         if device.is_cuda and not device.is_capturing:
             self._listen()  # What earlier steps have told by now.
-        if self._gradients is None and tape is not None and self.model.requires_grad:
-            from wrod.newton_solver.gradients import Gradients
-
-            self._gradients = Gradients(self.model, self._groups)
         put = self._gradients and self._gradients.listen(tape, parts, state_in, state_out, moved)
         for group in self._groups:
             group.step(state_in, contacts, dt, dt / parts)
