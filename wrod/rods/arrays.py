@@ -99,7 +99,7 @@ class BatchArrays(OnDevice):
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
 
     def zeros(self, *shape: int, dtype: Any = wp.float64) -> wp.array:
-        """(rod, *shape) of nothing yet."""
+        """Zeros (rod, ...) of the `shape` beyond the rods."""
         return wp.zeros((self.rod_count, *shape), dtype=dtype, device=self.device)
 
     def array(self, values: np.ndarray | Sequence, dtype: Any = wp.float64) -> wp.array:
