@@ -202,6 +202,26 @@ def test_a_gripper_that_was_turned_by_whole_turns_is_found(turns):
     assert lab.rms(lab.predict(Model(), np.zeros(0)), np.array([trial])) < m.noise_floor
 
 
+def test_a_camera_that_is_off_keeps_no_rod_on_a_turn_more():
+    """Where all rods seem to be as far away, one that is wound stands apart by what cameras see."""
+    data, off = dict(kept("none 1", 101, "pose")[0]), np.array([8e-3, -4e-3, 6e-3])
+    lab = Laboratory(measurements_from_arrays(data | {"centerline": data["centerline"] + off}))
+    found, trial = (Model((effects()["camera_offset"],)), off), 11
+    right = lab.predict(*found)
+    lab._known.clear()
+    solver, setup = lab.solver_at(Model(), np.zeros(0))
+    twist = solver.total_twist()
+    solver.shape_to([setup], lab.base.measured - off, turns=1)
+    assert solver.relax([setup])[trial] and solver.negative[trial] == 0
+    wound = np.abs(solver.total_twist() - twist) > np.pi
+    lab.base_state = tuple(
+        np.where((wound & (lab.trials == trial)).reshape(-1, *[1] * (own.ndim - 1)), there, own)
+        for own, there in zip(lab.base_state, solver.saved(), strict=True)
+    )
+    assert wound[trial]
+    assert lab.predict(*found) == pytest.approx(right, abs=1e-6)
+
+
 def test_turns_stand_for_no_effect_that_the_base_model_lacks():
     """Of several turns one comes nearer by chance: of 24 ribbons six by up to a tenth."""
     for case, seed in (("anisotropic_bending", 11), ("natural_curvature + stiffness", 302)):

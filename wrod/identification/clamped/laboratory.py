@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -179,7 +180,7 @@ class Laboratory:
             DataError: a trial has no equilibrium with these values.
         """
         solver, setup = self.solver_at(model, values, trials)
-        measured = ClampedSetup.base(self.measurements, trials, self.edge_count).measured
+        measured = self._as_measured(solver, model, values, setup)
         put = to_measured(solver, [setup], measured, every=True)
         if put:
             self.remember(model, values, trials, solver.saved())
@@ -210,7 +211,8 @@ class Laboratory:
                     break
             else:
                 if len(values):
-                    to_measured(solver, [setup], base.measured, self.measurements.noise_floor)
+                    measured = self._as_measured(solver, model, values, setup)
+                    to_measured(solver, [setup], measured, self.measurements.noise_floor)
                 return setup
             solver.restore(first)
             if not walk:
@@ -222,6 +224,21 @@ class Laboratory:
             f"{self.measurements.name}: no equilibrium with {', '.join(model.names)} at the values "
             "asked for"
         )
+
+    def _as_measured(
+        self, solver: ClampedSolver, model: Model, values, setup: ClampedSetup
+    ) -> np.ndarray:
+        """(t, n + 1, 3) where the nodes are by the markers, if cameras see them as the model says:
+        where one is off every rod is as far from what was reported, and none the farther for
+        standing elsewhere."""
+        if not _measuring(model):
+            return setup.measured
+        prediction, own = solver.predict([setup]), setup.trials
+        seen = self._markers(self.observed(model, values, setup, prediction, 0).real)
+        centerline = self.measurements.centerline.copy()
+        centerline[own] -= seen - prediction.position[0].real
+        corrected = replace(self.measurements, centerline=centerline)
+        return corrected.node_positions(solver.edge_count)[own]
 
     def observe(
         self,
@@ -291,7 +308,7 @@ class Laboratory:
     ) -> np.ndarray:
         """(t, R) readings of one candidate, complex if the prediction is."""
         position = prediction.position[candidate]
-        if any(type(e).measure is not Effect.measure for e in model.effects):
+        if _measuring(model):
             position = model.measure(position, prediction.frames[candidate](), values, setup)
         readings = [position.reshape(len(position), -1)]
         if self.measurements.grip_force is not None:
@@ -324,6 +341,10 @@ class Laboratory:
             )
             for c, model in enumerate(models)
         ]
+
+
+def _measuring(model: Model) -> bool:
+    return any(type(e).measure is not Effect.measure for e in model.effects)
 
 
 def _key(model: Model, values: np.ndarray, trials: np.ndarray) -> tuple:
