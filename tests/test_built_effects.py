@@ -1,5 +1,7 @@
 """Effects that are built from profiles along the rod: exact derivatives, right places and sizes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from test_identification import synthetic
@@ -21,7 +23,7 @@ from wrod.identification.effect import Model, effects
 BASIS = np.random.default_rng(3).normal(size=(21, 2, 3))
 PROBES = {
     "local_bend": (LocalBend, [0.3, -0.2, 0.22, np.log(0.02)]),
-    "stretch": (Stretch, [-0.6, 0.8, 0.2, np.log(0.06)]),
+    "stretch": (Stretch, [-0.6, 0.8, 0.2, np.log(0.06), 0.4]),
     "local_load": (LocalLoad, [3e-3, -4.5e-3, 1.5e-3, 0.27, 0.15, 0.4]),
     "attraction": (Attraction, [0.05, 0.5, -0.1, 0.4, np.log(0.05)]),
     "moment_law": (lambda _: MomentLaw([2.0, 5.0, 12.0]), [0.4, -0.3, 0.5]),
@@ -50,25 +52,47 @@ def test_derivatives_are_exact(laboratory, name):
         assert np.abs(numeric[:, markers] - rates[:, markers, j]).max() <= 2e-4 * size
 
 
+@pytest.mark.parametrize("softness", [-9.0, 0.0, 1.5])
+@pytest.mark.parametrize("stiff", [np.log(3.0), -1.2])
 @pytest.mark.parametrize(("start", "length"), [(0.2, 0.003), (0.2013, 0.008), (0.237, 0.06)])
-def test_a_stretch_gives_and_weighs_the_same_wherever_the_nodes_are(laboratory, start, length):
+def test_a_stretch_gives_and_weighs_as_told_wherever_the_nodes_are(
+    laboratory, start, length, stiff, softness
+):
     """Sections give one after another: compliances add up to those of the rod, not stiffnesses."""
-    base, effect = laboratory.base, Stretch([])
-    stiff, heavy = np.log(3.0), 1.4
-    setup = Model((effect,)).setup(base, np.array([stiff, heavy, start, np.log(length)]))
+    m, base, effect = laboratory.measurements, laboratory.base, Stretch([])
+    values, heavy = np.array([stiff, 1.4, start, np.log(length), softness]), 1.4
+    setup = Model((effect,)).setup(base, values)
+    told = {k: e.value for k, e in effect.describe(values, np.eye(5), m).items()}
+    # Of what is lost nothing may be left, so softer ends keep a little more of it.
+    loss = {-9.0: 1e-6, 0.0: 0.01, 1.5: 0.13}[softness] if stiff > 0.0 else 1e-9
+    assert told["extra_compliance"] == pytest.approx(np.expm1(-stiff) * length, rel=loss)
     cells = base.cells()
     for was, has in (
         (base.bending[:, 0], setup.bending[:, 0]),
         (base.twisting, setup.twisting),
     ):
         softer = (was / has - 1.0) * cells
-        assert softer.sum() == pytest.approx((1.0 / 3.0 - 1.0) * length, rel=1e-9)
+        assert softer.sum() == pytest.approx(told["extra_compliance"], rel=1e-9)
         middle = (softer * base.arc_length).sum() / softer.sum()
         assert middle == pytest.approx(start + 0.5 * length, abs=0.26 * cells[1])
     drawn = (base.stretching / setup.stretching - 1.0) * np.diff(base.arc_length)
-    assert drawn.sum() == pytest.approx((1.0 / 3.0 - 1.0) * length, rel=1e-9)
+    assert drawn.sum() == pytest.approx(told["extra_compliance"], rel=1e-9)
     extra = (setup.line_mass - base.line_mass) * cells
     assert extra.sum() == pytest.approx(heavy * base.line_mass[0] * length, rel=1e-9)
+    assert told["extra_mass"] == pytest.approx(extra.sum(), rel=1e-9)
+
+
+def test_a_stretch_with_soft_ends_spreads_as_a_sharp_one_of_its_length():
+    values, s = np.array([-1.0, 0.0, 0.2, np.log(0.06), 1.5]), np.linspace(0.0, 0.46, 46001)
+    setup = SimpleNamespace(fraction=s / s[-1], length=s[-1], arc_length=s)
+    setup.bending, setup.line_mass = np.ones((s.size, 2)), np.ones(s.size)
+    setup.twisting, setup.stretching = np.ones(s.size), np.ones(s.size - 1)
+    Stretch([]).apply(setup, values)
+    softer = 1.0 / setup.twisting - 1.0
+    softer /= softer.sum()
+    centroid = softer @ s
+    assert centroid == pytest.approx(0.23, abs=1e-6)
+    assert softer @ (s - centroid) ** 2 == pytest.approx(0.06**2 / 12.0, rel=1e-4)
 
 
 def test_a_kink_between_nodes_bends_by_its_whole_angle(laboratory):
@@ -223,7 +247,7 @@ def test_a_law_of_unknown_form_is_found_and_reported():
 def test_a_short_heavy_stretch_comes_near_to_a_point_mass(laboratory):
     m, base = laboratory.measurements, laboratory.base
     stretch, s = Stretch([]), base.arc_length
-    values = np.array([0.0, 1.5, 0.2, np.log(0.05)])
+    values = np.array([0.0, 1.5, 0.2, np.log(0.05), 0.0])
     (name, special), *others = stretch.special_cases(values, m).items()
     assert name == "point_mass" and not others
     heavy = Model((stretch,)).setup(base, values)

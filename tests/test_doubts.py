@@ -32,10 +32,10 @@ def test_what_stays_and_what_only_scatters_does_not():
 def test_a_stretch_that_reaches_an_end_may_be_what_holds_it():
     """Rubber fingers pass for a soft stretch of rod beside the gripper."""
     held = SimpleNamespace(material=RodMaterial(2e-3, 0.05, 0.5))
-    stretch, error = Stretch([]), np.diag([0.1, 0.1, 2e-3, 0.1]) ** 2
+    stretch, error = Stretch([]), np.diag([0.1, 0.1, 2e-3, 0.1, 0.1]) ** 2
 
     def doubt(start, length):
-        return stretch.doubt(np.array([-1.0, 0.0, start, np.log(length)]), error, held)
+        return stretch.doubt(np.array([-1.0, 0.0, start, np.log(length), 0.0]), error, held)
 
     assert not doubt(0.2, 0.08)
     assert "gripper" in doubt(0.44, 0.06)

@@ -182,7 +182,7 @@ def _built(truth: dict[str, Truth], rod) -> tuple[Effect, np.ndarray] | None:
         length, line = t["stop"] - t["start"], rod.weight / rod.gravity
         gain = t.get("extra_mass", 0.0) / (line * length)
         softer = math.log1p(t["extra_compliance"] / length)
-        kind, values = described.Stretch, [-softer, gain, t["start"], math.log(length)]
+        kind, values = described.Stretch, [-softer, gain, t["start"], math.log(length), 0.0]
     elif "local_load" in truth:
         length = rod.length - t["start"]
         breadth = math.hypot(length, 2.0 * math.pi * DRAUGHT_END)

@@ -4,7 +4,7 @@ None of them is a candidate of its own accord: each is built where the non-param
 `wrod.identification.clamped.profiles` say that something is there, and fits start from that place.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,10 +13,7 @@ from scipy.special import ndtr
 from wrod.identification.clamped.layout import COMPLEX_STEP
 from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
 
-# Width of the soft ends of a stretch [m], which is not to be seen: what bends and weighs moves by
-# the square of it.
-_END = 1e-3
-# That of a load's ends as a share of the load's length, within a factor of e.
+# Width of soft ends as a share of the length between them, within a factor of e.
 SOFT_END = 0.025
 # Cells that a load's moments are sums over.
 _CELLS = 400
@@ -32,7 +29,7 @@ def _mean(law, bounds) -> np.ndarray:
     return np.diff(law(bounds)) / np.diff(bounds)
 
 
-def _window(bounds, start, stop, end=_END) -> np.ndarray:
+def _window(bounds, start, stop, end) -> np.ndarray:
     """(n,) shares of the rod between (n + 1,) bounds that lie between two arc lengths, with ends
     that wide, analytic."""
 
@@ -47,18 +44,44 @@ def _softplus(x):
     return np.where(over, x, 0.0) + np.log1p(np.exp(np.where(over, -x, x)))
 
 
+def _soft_window(breadth, log_softness):
+    """(length, width of the ends) of a window that spreads like a sharp one of that breadth: a
+    variance of length^2 / 12 + pi^2 end^2 / 3, were the rod longer."""
+    share = SOFT_END * np.exp(log_softness)
+    length = breadth / np.sqrt(1.0 + (2.0 * np.pi * share) ** 2)
+    return length, share * length
+
+
+def _shortened(gain, ratio):
+    """A relative gain over a stretch that is shorter by a ratio: in sum the same, of a loss what
+    leaves something; smooth where it is nothing."""
+    return gain * ratio if np.real(gain) > 0.0 else np.expm1(ratio * np.log1p(gain))
+
+
+def _estimates(told: Callable, units: dict[str, str], values, covariance) -> dict[str, Estimate]:
+    """What an analytic function tells of parameters, by key, with errors to first order."""
+    values, steps = np.asarray(values), 1j * COMPLEX_STEP * np.eye(len(values))
+    rates = np.array([told(values + h).imag for h in steps]).T / COMPLEX_STEP
+    errors = np.sqrt(np.einsum("kp,pq,kq->k", rates, covariance, rates))
+    return {
+        key: Estimate(float(value), float(error), unit)
+        for (key, unit), value, error in zip(units.items(), told(values), errors, strict=True)
+    }
+
+
 class Described(Effect):
     """An effect with starts of its own, from a print.
 
     Args:
-        first: parameter vectors to start fits from; of a load without how soft its ends are.
+        first: parameter vectors to start fits from, without how soft ends are.
     """
 
     def __init__(self, first: Sequence[ArrayLike]):
         self.first = [np.asarray(v, dtype=float) for v in first]
 
     def starts(self, measurements):
-        return self.first
+        soft = [0.0] * (self.parameters[-1].key == "log_softness")
+        return [np.append(v, soft) for v in self.first]
 
 
 class LocalBend(Described):
@@ -102,26 +125,40 @@ class LocalBend(Described):
 
 
 class Stretch(Described):
+    """Readings tell the sum, the centroid and the spread of what a stretch gives and weighs more,
+    hardly how soft its ends are: its ends are those of the sharp stretch of the same."""
+
     name = "stretch"
     title = "a stretch of rod that is otherwise stiff and otherwise heavy"
-    reference = "stiffness times a factor and mass per length times another between two places"
+    reference = (
+        "compliance times a factor and mass per length times another between two places, the ends "
+        "logistic"
+    )
     parameters = (
         Parameter("log_stiffness_ratio", "", 2.0),
         Parameter("mass_gain", "", 2.0, lower=-0.95),
         Parameter("start", "m", 0.5, anywhere=True),
         Parameter("log_length", "", 1.0, lower=np.log(2e-3), anywhere=True),
+        Parameter("log_softness", "", 1.0),
     )
 
     def apply(self, setup, values):
-        ends = values[2], values[2] + np.exp(values[3])
+        softer, heavier, *ends = self._ends(values)
         window = _window(_cells(setup.fraction) * setup.length, *ends)
         within = _window(setup.arc_length, *ends)
         # Sections give one after another: of a cell, and of an edge, compliances have a mean.
-        softer = np.exp(-values[0]) - 1.0
         setup.bending = setup.bending / (1.0 + softer * window)[:, None]
         setup.twisting = setup.twisting / (1.0 + softer * window)
         setup.stretching = setup.stretching / (1.0 + softer * within)
-        setup.line_mass = setup.line_mass * (1.0 + values[1] * window)
+        setup.line_mass = setup.line_mass * (1.0 + heavier * window)
+
+    def _ends(self, values):
+        """(relative compliance more, mass per length more, start, stop, width of the ends)."""
+        breadth = np.exp(values[3])
+        length, end = _soft_window(breadth, values[4])
+        start = values[2] + 0.5 * (breadth - length)
+        gains = (_shortened(g, breadth / length) for g in (np.expm1(-values[0]), values[1]))
+        return *gains, start, start + length, end
 
     def special_cases(self, values, measurements):
         """What is only heavier is as good as a mass at one place, if that is short."""
@@ -131,36 +168,25 @@ class Stretch(Described):
 
     def doubt(self, values, covariance, measurements):
         own, length = self.describe(values, covariance, measurements), measurements.material.length
-        first, last = own["start"], own["stop"]
-        if last.value > length - max(2.0 * last.stderr, 4.0 * _END):
+        first, last, end = own["start"], own["stop"], own["end_width"].value
+        if last.value > length - max(2.0 * last.stderr, 4.0 * end):
             return "the stretch reaches the gripper, which may give way itself"
-        if first.value < max(2.0 * first.stderr, 4.0 * _END):
+        if first.value < max(2.0 * first.stderr, 4.0 * end):
             return "the stretch reaches clamp A, which may give way itself"
         return ""
 
     def describe(self, values, covariance, measurements):
         rod = measurements.material
-        error = np.sqrt(np.diag(covariance))
-        ratio, length = float(np.exp(values[0])), float(np.exp(values[3]))
-        mass = rod.weight / rod.gravity * length
 
-        def estimate(value, slopes, unit):
-            slopes = np.asarray(slopes)
-            return Estimate(float(value), float(np.sqrt(slopes @ covariance @ slopes)), unit)
+        def told(values):
+            softer, heavier, start, stop, end = self._ends(values)
+            sums = softer * (stop - start), heavier * (stop - start) * rod.weight / rod.gravity
+            last = values[2] + np.exp(values[3])
+            return np.array([values[2], last, end, 1.0 / (1.0 + softer), 1.0 + heavier, *sums])
 
-        soft = 1.0 / ratio
-        return {
-            "start": Estimate(float(values[2]), float(error[2]), "m"),
-            "stop": estimate(values[2] + length, [0.0, 0.0, 1.0, length], "m"),
-            "stiffness_ratio": Estimate(ratio, ratio * float(error[0]), ""),
-            "mass_ratio": Estimate(1.0 + float(values[1]), float(error[1]), ""),
-            "extra_compliance": estimate(
-                (soft - 1.0) * length, [-soft * length, 0.0, 0.0, (soft - 1.0) * length], "m"
-            ),
-            "extra_mass": estimate(
-                values[1] * mass, [0.0, mass, 0.0, float(values[1]) * mass], "kg"
-            ),
-        }
+        units = {"start": "m", "stop": "m", "end_width": "m", "stiffness_ratio": "",
+                 "mass_ratio": "", "extra_compliance": "m", "extra_mass": "kg"}  # fmt: skip
+        return _estimates(told, units, values, covariance)
 
 
 class LocalLoad(Described):
@@ -177,9 +203,6 @@ class LocalLoad(Described):
         Parameter("log_softness", "", 1.0),
     )
 
-    def starts(self, measurements):
-        return [np.append(v, 0.0) for v in self.first]
-
     def apply(self, setup, values):
         force, start, stop, end = self._ends(values)
         window = _window(_cells(setup.fraction) * setup.length, start, stop, end)
@@ -187,12 +210,10 @@ class LocalLoad(Described):
 
     def _ends(self, values):
         """(force per length, start, stop, width of the ends) of the load that has as much in sum as
-        the parameters say, its centroid there, and spread like a sharp one as long as `breadth`: a
-        variance of length^2 / 12 + pi^2 end^2 / 3, were the rod longer."""
-        share = SOFT_END * np.exp(values[5])
-        length = values[4] / np.sqrt(1.0 + (2.0 * np.pi * share) ** 2)
+        the parameters say, its centroid there, and spread like a sharp one of its breadth."""
+        length, end = _soft_window(values[4], values[5])
         start = values[3] - 0.5 * length
-        return np.asarray(values[:3]) / length, start, start + length, share * length
+        return np.asarray(values[:3]) / length, start, start + length, end
 
     def _told(self, values, rod) -> np.ndarray:
         """(11,) what `describe` tells, of a rod of that length."""
@@ -205,19 +226,11 @@ class LocalLoad(Described):
         return np.array([*(force * whole * bounds[1]), centroid, spread, *force, *ends])
 
     def describe(self, values, covariance, measurements):
-        rod, values = measurements.material.length, np.asarray(values)
-        steps = 1j * COMPLEX_STEP * np.eye(len(values))
-        rates = np.array([self._told(values + h, rod).imag for h in steps]).T / COMPLEX_STEP
-        errors = np.sqrt(np.einsum("kp,pq,kq->k", rates, covariance, rates))
         units = {f"total_{axis}": "N" for axis in "xyz"} | {"centroid": "m", "spread": "m"}
         units |= {f"force_{axis}": "N/m" for axis in "xyz"}
         units |= {"start": "m", "stop": "m", "end_width": "m"}
-        return {
-            key: Estimate(float(value), float(error), unit)
-            for (key, unit), value, error in zip(
-                units.items(), self._told(values, rod), errors, strict=True
-            )
-        }
+        rod = measurements.material.length
+        return _estimates(lambda own: self._told(own, rod), units, values, covariance)
 
 
 class Attraction(Described):
