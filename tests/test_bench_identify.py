@@ -281,6 +281,12 @@ def test_a_case_is_asked_for_by_its_whole_name():
     names = list(cases())
     assert _called("natural_curvature", names) == ["natural_curvature"]
     assert _called("none", names) == ["none 1", "none 2", "none 3"]
+    with pytest.raises(
+        DataError, match="like 'softening by yeild'; the nearest are softening_by_y"
+    ):
+        _called("softening by yeild", names)
+    listed = CliRunner().invoke(main, ["bench", "identify", "--list"])
+    assert listed.exit_code == 0 and listed.output.split("\n")[:-1] == names
 
 
 def test_a_fault_in_one_set_ends_no_other(monkeypatch, tmp_path):

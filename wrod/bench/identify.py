@@ -1,7 +1,8 @@
 """`wrod bench identify`: verdicts, parameters, errors and times on sets of measurements."""
 
+import difflib
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
@@ -31,6 +32,7 @@ def command(
         "Hidden: only the case of this name, or else all with this text in theirs, "
         "in the order of the texts; may be given again."
     ),
+    listed: bool = option("Only say what cases --hidden has.", "--list"),
     out: Path | None = option("Hidden: keep rows.", type=FOLDER),
     workers: int = option("Hidden: processes side by side.", default=1),
     minutes: float | None = option(
@@ -45,8 +47,11 @@ def command(
     solver that identifies, makes a set for each effect, for pairs, for none and for effects that
     no plug-in covers; with --out, OUT/rows.jsonl keeps what is finished and a stopped run goes on.
     """
+    from wrod.bench.hidden_sets import cases
     from wrod.rods.device import resolve_device
 
+    if listed:
+        return tell({"cases": list(cases())}, *cases())
     if (folder is None) == (not seeds):
         raise click.UsageError("give either --sets FOLDER or --hidden SEED")
     device = resolve_device(device)
@@ -58,6 +63,7 @@ def command(
             said = "--noise, --only, --out and --workers are of --hidden; drop them beside --sets"
             raise click.UsageError(said)
         _measured(folder, seconds, device)
+    return None
 
 
 def _hidden(seeds, noises, only, out, workers, limit, device) -> None:
@@ -65,11 +71,7 @@ def _hidden(seeds, noises, only, out, workers, limit, device) -> None:
     from wrod.bench.hidden_sets import cases
     from wrod.bench.hidden_table import examine, lines, summary
 
-    names = list(dict.fromkeys(n for text in only or ("",) for n in _called(text, cases())))
-    if not names:
-        raise DataError(
-            f"no case is called like {', '.join(only)}; the cases: {', '.join(cases())}"
-        )
+    names = list(dict.fromkeys(n for text in only or ("",) for n in _called(text, list(cases()))))
     if unknown := set(noises) - set(NOISES):
         raise DataError(f"no noise is called {', '.join(unknown)}; there are {', '.join(NOISES)}")
     kept, keys = None if out is None else out / "rows.jsonl", ("set", "seed", "noise")
@@ -108,9 +110,16 @@ def _hidden(seeds, noises, only, out, workers, limit, device) -> None:
         )
 
 
-def _called(text: str, names: Iterable[str]) -> list[str]:
+def _called(text: str, names: Sequence[str]) -> list[str]:
     """The name that is this text, else those that hold it."""
-    return [n for n in names if n == text] or [n for n in names if text in n]
+    found = [n for n in names if n == text] or [n for n in names if text in n]
+    if not found:
+        near = ", ".join(difflib.get_close_matches(text, names, 4, 0.4))
+        raise DataError(
+            f"--only: no case is called like {text!r}{near and f'; the nearest are {near}'}; "
+            "`wrod bench identify --list` names all"
+        )
+    return found
 
 
 def _measured(folder: Path, limit: float | None, device: str) -> None:
