@@ -84,6 +84,10 @@ def test_reads_scans_deployments_and_points(tmp_path, plan):
     points = load_laid([tmp_path / "points.csv"], pattern, units="cm", noise=NOISE)
     holding = load_laid(names[1:], pattern, noise=NOISE, released=False)
     assert np.abs(holding.curves[0][0] - held[0, :2]).max() < 1e-6
+    for trial in (2, 10):
+        np.savez(tmp_path / f"deployment-{trial}.npz", centerline=line)
+    trials = load_laid([tmp_path], pattern, noise=NOISE).names
+    assert trials == tuple(str(tmp_path / f"deployment{of}.npz") for of in ("", "-2", "-10"))
     for curve in (*laid.curves, *points.curves):
         assert np.abs(curve[[0, -1]] - line[[0, -1], :2]).max() < 1e-6
 
@@ -117,7 +121,9 @@ def test_bad_centrelines_are_named(tmp_path, plan):
     (tmp_path / "torn.npz").write_bytes(b"PK\x03\x04torn")
     with pytest.raises(DataError, match=r"pixels\.npz: is a scan without"):
         load_laid([tmp_path / "pixels.npz"], pattern, noise=NOISE)
-    with pytest.raises(DataError, match="is a folder; give the scans, deployments or points in it"):
+    with pytest.raises(
+        DataError, match=r"is a folder without a deployment \(deployment.npz\); give"
+    ):
         load_laid([tmp_path], pattern, noise=NOISE)
     for name in ("torn.npz", "missing.npz", "missing.txt"):
         with pytest.raises(DataError, match=name):

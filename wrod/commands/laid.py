@@ -86,9 +86,10 @@ def command(
 ) -> None:
     """Compare laid RODS with their pattern, and explain the difference.
 
-    RODS are scans (`wrod scan --out`), deployments (`wrod deploy`) or files of points, all laid by
-    one trajectory. The residual is explained by simulated deployments with another natural
-    curvature and another L_gb, with --fit-friction also with another friction.
+    RODS are scans (`wrod scan --out`), deployments (folders of `wrod deploy`, or the .npz in them)
+    or files of points, all laid by one trajectory. The residual is explained by simulated
+    deployments with another natural curvature and another L_gb, with --fit-friction also with
+    another friction.
     """
     from wrod.deployment.bounds import refuse_another_rod
     from wrod.deployment.simulate import with_remainder_of
@@ -106,7 +107,7 @@ def command(
     laid = load_laid(list(rods), curve, units=reading.units, noise=noise, released=not fit.holding)
     along, left = 1e3 * laid.residual().mean(axis=0).T
     figures = {
-        "rods": [str(name) for name in rods],
+        "rods": list(laid.names),
         "noise_mm": 1e3 * laid.noise,
         "noise_floor_mm": 1e3 * laid.noise_floor,
         "from_pattern_mm": 1e3 * laid.rms(),
@@ -129,8 +130,8 @@ def command(
         if written := fit.save(found):
             figures["written"] = written
     lines = [
-        f"{len(rods)} rods {figures['from_pattern_mm']:.2f} mm from the pattern (RMS), noise floor "
-        f"{figures['noise_floor_mm']:.2f} mm; mean {along.mean():+.2f} mm along, "
+        f"{len(laid.names)} rods {figures['from_pattern_mm']:.2f} mm from the pattern (RMS), "
+        f"noise floor {figures['noise_floor_mm']:.2f} mm; mean {along.mean():+.2f} mm along, "
         f"{left.mean():+.2f} mm to the left"
     ]
     if fit.iterations > 0:

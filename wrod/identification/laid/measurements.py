@@ -102,7 +102,8 @@ def load_laid(
 
     Args:
         sources: arrays (n, 2) or (n, 3) [m], or files: a scan (.npz) with a scale, a deployment
-            (.npz), or points as `wrod.Pattern.load` reads them.
+            (.npz) or the folder that `wrod deploy` wrote, of which each trial counts, or points as
+            `wrod.Pattern.load` reads them.
         pattern: what they were laid along, with its remainder if it had one.
         units: of files of points that do not say theirs.
         noise: standard deviation of a coordinate of a smoothed centreline [m]; default: from the
@@ -116,7 +117,7 @@ def load_laid(
     if len(sources) == 0:
         raise DataError("no laid rod given; give at least one centreline")
     curves, names = [], []
-    for k, source in enumerate(sources):
+    for k, source in enumerate(one for given in sources for one in _each(given)):
         if isinstance(source, np.ndarray):
             name, curve = f"centreline {k}", np.asarray(source, dtype=float)
         else:
@@ -138,9 +139,20 @@ def load_laid(
     return LaidMeasurements(pattern, tuple(curves), tuple(names), float(noise))
 
 
+def _each(source) -> list:
+    """The source, or of a folder every deployment in it, in the order of trials."""
+    if isinstance(source, np.ndarray) or not Path(source).is_dir():
+        return [source]
+    found = sorted(Path(source).glob("deployment*.npz"), key=lambda p: (len(p.name), p.name))
+    if not found:
+        raise DataError(
+            f"{source}: is a folder without a deployment (deployment.npz); give the files of scans "
+            "or points in it"
+        )
+    return found
+
+
 def _read(path: Path, units: str | None, released: bool) -> np.ndarray:
-    if path.is_dir():
-        raise DataError(f"{path}: is a folder; give the scans, deployments or points in it")
     if path.suffix.lower() == ".npz":
         found = read_arrays(path, "a scan, a deployment or points (.npz)")
         line = "released_centerline" if released else "centerline"
