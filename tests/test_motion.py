@@ -14,13 +14,16 @@ from wrod.identification.motion.fit import MotionLaboratory
 from wrod.identification.motion.loading import load_motion, motion_from_arrays, sorted_grips
 from wrod.identification.motion.report import identify_motion
 from wrod.identification.motion.setup import START_L_GB
+from wrod.identification.motion.solver import MotionRun
 from wrod.rods.batch import RodBatch
+from wrod.rods.law import Plastic
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 GRAVITY, RATE, MARKERS = 9.81, 100.0, 11
 EDGE, HELD = 0.075, 0.03
 L_GB, CURVATURE, VISCOUS, AIR = 0.16, 4.0, 0.04, 0.5
+YIELD, HARDENING = 5.0, 0.4
 
 
 class Shaking:
@@ -65,8 +68,13 @@ def paths(rods, seed):
 
 @pytest.fixture(scope="module")
 def recorded():
-    """Recordings of a viscous rod with a bend of its own, by implicit dynamics on a finer mesh."""
-    rods, fine, first, frames = 8, 4, 60, 70
+    return made_recordings(CURVATURE, np.zeros(4), first=60)
+
+
+def made_recordings(curvature, inelastic, first):
+    """Recordings of a viscous rod with a bend of its own, by implicit dynamics on a finer mesh,
+    from the frame `first` on; `inelastic` as of `RodBatch`."""
+    rods, fine, frames = 8, 4, 70
     inner = (MARKERS - 3) * fine
     rest = np.r_[HELD, np.full(inner, EDGE / fine), HELD]
     n = len(rest) + 1
@@ -81,11 +89,13 @@ def recorded():
     length = 0.5 * (np.r_[rest, 0.0] + np.r_[0.0, rest])
     stiffness = np.full((rods, n, 2), bending)
     natural = np.zeros((rods, n, 2))
-    natural[:, :, 0] = CURVATURE
+    natural[:, :, 0] = curvature
+    law = np.tile(np.asarray(inelastic, dtype=float), (rods, n, 1))
     for i in (1, n - 2):
         share = 0.5 * (EDGE / fine) / length[i]
         stiffness[:, i] /= share
         natural[:, i] *= share
+        law[:, i, 2] *= share
     batch = RodBatch(
         position,
         rest_length=rest,
@@ -93,6 +103,7 @@ def recorded():
         bending_stiffness=stiffness,
         twisting_stiffness=stiffness[:, :, 0] / 1.5,
         natural_curvature=natural,
+        inelastic=law,
         node_mass=length,
         gravity=[0.0, 0.0, -GRAVITY],
         # The first director, m1, is the inside of the loop: the rod is bent the way it hangs.
@@ -127,10 +138,35 @@ def recorded():
 def test_tangents_are_the_derivatives_of_the_motion(recorded):
     laboratory = MotionLaboratory(motion_from_arrays(recorded))
     # A rod has one law of bending: softening's, of which stiffening is the other sign.
-    model = Model(tuple(e for e in effects("motion").values() if e.name != "stiffening"))
+    others = "stiffening", "yielding"
+    model = Model(tuple(e for e in effects("motion").values() if e.name not in others))
     rng = np.random.default_rng(1)
     values = np.array([0.1 * min(p.scale, 1.0) * rng.uniform(0.5, 1.0) for p in model.parameters])
-    windows = laboratory.windows([0, 1], [5], frames=12)
+    check_tangents(laboratory, model, values, 12)
+
+
+def test_tangents_know_what_a_rod_that_yields_remembers(recorded):
+    """Bent, bent back and bent on, also where both directions differ in stiffness."""
+    laboratory, known = MotionLaboratory(motion_from_arrays(recorded)), effects("motion")
+    own = {
+        "stiffness": [0.1], "internal_damping": [0.03], "natural_curvature": [1.0, 0.5],
+        "anisotropic_bending": [0.2, 0.1, 0.3], "clamp_length": [0.01, 0.005],
+        "yielding": [np.log(2.0), 0.4],
+    }  # fmt: skip
+    model, values = Model(tuple(known[name] for name in own)), np.concatenate(list(own.values()))
+    run = MotionRun(laboratory.windows([0, 1]), RATE, model.setup(laboratory.base, values))
+    run.begin()
+    run.finish()
+    node = run.batch.inelastic.numpy()[:, 1:-1]
+    # Back from where they yielded: what lags is inside the bound, but not all of the bend.
+    size = np.linalg.norm(node["lagging"], axis=-1)
+    back = (size < 0.9 * node["scale"]) & (np.linalg.norm(node["excess"], axis=-1) > 1.1 * size)
+    assert back.mean() > 0.1, back.mean()
+    check_tangents(laboratory, model, values, None)
+
+
+def check_tangents(laboratory, model, values, frames):
+    windows = laboratory.windows([0, 1], [5], frames=frames)
     _, rates, _ = laboratory.run(
         windows, model.setup(laboratory.base, values), laboratory.rates(model, values)
     )
@@ -201,6 +237,26 @@ def test_independent_dynamics_show_the_same_effects(recorded, tmp_path):
     written = {path.name for path in report.save(tmp_path)}
     assert written == {"report.json", "report.html", "model.json"}
     assert "data:image/png;base64," in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_a_rod_that_yields_is_told_from_one_that_softens():
+    """By `Dynamics` with four edges where two are fitted, and its own damping; unloading tells."""
+    law = Plastic(YIELD, HARDENING)
+    made = made_recordings(0.0, law.inelastic, first=1)
+    names = ("yielding", "softening", "stiffening", "relaxation", "natural_curvature")
+    report = identify_motion(motion_from_arrays(made), candidates=names)
+    parts = {e.name: e.parameters for e in report.effects}
+    assert set(parts) == {"internal_damping", "yielding"}
+    found = parts["yielding"]
+    assert found["yield_curvature"].value == pytest.approx(YIELD, rel=0.05)
+    assert 1.0 - found["hardening"].value == pytest.approx(1.0 - HARDENING, rel=0.05)
+    assert report.base["stiffness"]["L_gb"].value == pytest.approx(L_GB, rel=0.02)
+    first = report.selection.rounds[1].candidates
+    left = {c.name: c.validation for c in first}
+    assert left["yielding"] < 0.5 * left["softening"]
+    # What is found is a rod that remembers, as simulations and plans take it.
+    assert isinstance(report.model.law, Plastic)
 
 
 def test_lost_frames_are_counted_and_survived(recorded):

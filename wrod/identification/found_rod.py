@@ -119,7 +119,7 @@ def rod_of(
 
     first, second = np.real(setup.bending).T
     left, up = setup.natural_curvature.T
-    law, stiffer = _law(np.real(setup.softening), *np.real(getattr(setup, "yielding", (0, 1)))), 1.0
+    law, stiffer = _law(np.real(setup.softening), *np.real(setup.yielding)), 1.0
     if len(terms := np.real(getattr(setup, "law", ()))):
         stiffer, law = _nearest_softening(*terms.T)
     return replace(

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from wrod.rods.discretisation import in_principal, of_free_part
+from wrod.rods.law import Plastic
 
 
 @dataclass
@@ -26,6 +27,8 @@ class RodSetup:
         natural_twist: (n + 1,) [rad/m].
         softening: (n + 1, 2) c [m^2] and r of the moment B e (r + (1 - r) / (1 + c e^2)) at an
             excess curvature e; c = 0 is linear.
+        yielding: (2,) share of the stiffness that is lost beyond a yield curvature k_y, and k_y
+            [1/m], of `wrod.rods.law.Plastic`; 0: none.
         line_mass: (n + 1,) mass per unstretched length [kg/m].
         node_mass: (n + 1,) masses on top of it [kg].
         gravity: (3,) [m/s^2].
@@ -39,6 +42,7 @@ class RodSetup:
     natural_curvature: np.ndarray
     natural_twist: np.ndarray
     softening: np.ndarray
+    yielding: np.ndarray
     line_mass: np.ndarray
     node_mass: np.ndarray
     gravity: np.ndarray
@@ -62,6 +66,7 @@ class RodSetup:
             natural_curvature=np.zeros((nodes, 2)),
             natural_twist=np.zeros(nodes),
             softening=np.zeros((nodes, 2)),
+            yielding=np.array([0.0, 1.0]),
             line_mass=np.full(nodes, line_mass),
             node_mass=np.zeros(nodes),
             gravity=np.array([0.0, 0.0, -gravity]),
@@ -87,6 +92,13 @@ class RodSetup:
                 softening=self.softening,
             ),
         }
+
+    @property
+    def inelastic(self) -> np.ndarray:
+        """(n + 1, 4) law that yields, as `RodBatch` takes it; complex if the setup is."""
+        share, scale = self.yielding
+        number = float(Plastic.number) if share else 0.0
+        return np.tile([number, share, scale, 1.0], (len(self.fraction), 1))
 
     @property
     def edge_fraction(self) -> np.ndarray:

@@ -12,7 +12,6 @@ import warp as wp
 
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.rods.discretisation import in_principal, of_free_part
-from wrod.rods.law import Plastic
 
 COMPLEX_STEP = 1e-30
 # Share of the stiffness in a layer that is not there: the mean of its two stiffnesses divides.
@@ -78,10 +77,8 @@ def inelastic_of(setups: Sequence[ClampedSetup]) -> np.ndarray:
     """(rod, node, 4) laws that yield, as `RodBatch` takes them; complex if they are."""
     rows = []
     for s in setups:
-        share, scale = s.yielding
-        number = float(Plastic.number) if share else 0.0
-        law = np.tile([number, share, scale, 1.0], (len(s.fraction), 1))
-        rows.append(_with_ghosts(of_free_part(_free_share(s), inelastic=law)["inelastic"]))
+        law = of_free_part(_free_share(s), inelastic=s.inelastic)
+        rows.append(_with_ghosts(law["inelastic"]))
     return np.repeat(np.stack(rows), len(setups[0].clamp_position), axis=0)
 
 

@@ -31,8 +31,6 @@ class ClampedSetup(RodSetup):
         length: free length between the clamps [m].
         law: (J, 2), of a moment M = B k (1 - sum_j p_j c_j k^2 / (1 + c_j k^2)) besides softening:
             c [m^2] and p of every term; no rows: none.
-        yielding: (2,) share of the stiffness that is lost beyond a yield curvature k_y, and k_y
-            [1/m], of `wrod.rods.law.Plastic` bent for the first time; 0: none.
         coupling: (2,) G of an energy per length G . e (tau - tau_0) of the excess curvatures along
             (m1, m2) and the twist [N m^2].
         wind: (3,) w of the force |w_perp| w_perp per length, w_perp across the rod [(N/m)^1/2].
@@ -48,7 +46,6 @@ class ClampedSetup(RodSetup):
     when: np.ndarray
     length: complex
     law: np.ndarray
-    yielding: np.ndarray
     coupling: np.ndarray
     wind: np.ndarray
     force: np.ndarray
@@ -76,7 +73,6 @@ class ClampedSetup(RodSetup):
             when=trials / max(m.trial_count - 1, 1),
             length=rod.length,
             law=np.zeros((0, 2)),
-            yielding=np.array([0.0, 1.0]),
             coupling=np.zeros(2),
             wind=np.zeros(3),
             force=np.zeros((1, 1, 3)),

@@ -75,13 +75,14 @@ class Yielding(Softening):
         "M = B e up to k_y, B k_y + r B (e - k_y) beyond: linear kinematic hardening (Simo & "
         "Hughes 1998, ch. 1), bent for the first time"
     )
-    kinds = ("clamped",)
     alike = "an elastic law of the same moments, which unloading alone would tell"
     # Of two laws this one counts.
     stage = 2
     left, place = "hardening", "yield_curvature"
 
     def starts(self, measurements):
+        if measurements is None:  # in motion, below what cables bend by there
+            return [np.array([np.log(4.0), 0.3])]
         # A yield curvature that no trial reaches leaves nothing to go by.
         bent = measurements.largest_curvature
         return [np.array([np.log(u * bent), lost]) for u in (0.2, 0.5) for lost in self.first]
@@ -90,7 +91,9 @@ class Yielding(Softening):
         return 1.0 - values[1] * np.maximum(1.0 - np.exp(values[0]) / curvature, 0.0)
 
     def apply(self, setup, values):
-        setup.softening, setup.law = np.zeros_like(setup.softening), setup.law[:0]
+        setup.softening = np.zeros_like(setup.softening)
+        if hasattr(setup, "law"):  # of clamped rods
+            setup.law = setup.law[:0]
         setup.yielding = np.array([values[1], np.exp(values[0])])
 
 

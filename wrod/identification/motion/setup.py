@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from wrod.identification.setup import RodSetup
-from wrod.rods.discretisation import cells, in_principal
+from wrod.rods.discretisation import cells, in_principal, of_free_part
 
 # What the base model starts from where nothing is known. Motion only tells ratios to the weight.
 START_L_GB = 0.2
@@ -151,6 +151,7 @@ class MotionSetup(RodSetup):
             "rest_strain": np.c_[here["natural_curvature"], here["natural_twist"]],
             "viscous_time": np.c_[self.viscous_time, self.relaxation_time],
             "softening": here["softening"],
+            **of_free_part(share, inelastic=self.inelastic),
             "mass": mass,
             "linear_drag": self.linear_drag * length,
             "quadratic_drag": self.quadratic_drag * length,

@@ -38,6 +38,7 @@ def rods_on_mesh(
         natural_curvature=rest[:, :2],
         natural_twist=rest[:, 2],
         softening=values["softening"],
+        inelastic=values["inelastic"],
         point_load=point_load,
         director=director,
         device=device,

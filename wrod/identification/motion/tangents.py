@@ -11,7 +11,8 @@ from wrod.identification.motion.start import first_nodes, held_ends, moves_ends
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.linear import banded
 from wrod.kernels.stepping import motion_tangents as kernels
-from wrod.kernels.stepping import observed_tangents
+from wrod.kernels.stepping import observed_tangents, yield_tangents
+from wrod.rods.arrays import filled
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.steps import unit_pace
 
@@ -26,6 +27,7 @@ SPIN_INERTIA = 1e-7
 _KINDS = dict.fromkeys(("stiffness", "rest_strain", "gravity", "marker_offset"), wp.vec3d) | {
     "softening": wp.vec2d,
     "viscous_time": wp.vec4d,
+    "inelastic": wp.vec4d,
 }
 
 
@@ -119,6 +121,11 @@ class MotionTangents:
         self.strain, self.strain_older, self.strain_new = (
             wp.zeros((rods, P, nodes), dtype=wp.vec4d, device=device) for _ in range(3)
         )
+        # Of bends that yield: the model's rates, and those of what nodes remember.
+        shape = (rods, P, nodes) if run.batch.inelastic is not None else (0, 0, 0)
+        self.kept = wp.zeros(shape, dtype=wp.vec4d, device=device)
+        own = {key: self.model[key] for key in yield_tangents.Rates.vars}
+        self.yielding = filled(yield_tangents.Rates(), own)
         markers = len(setup.marker_node) - 2
         self.seen = wp.zeros((rods, windows.held.shape[1], markers, P), wp.vec3d, device=device)
         self.system = BandedSystem(run.batch)
@@ -132,14 +139,23 @@ class MotionTangents:
 
     def _elastic(self, pace, strain_before, strain_older):
         batch, s = self.batch, self.batch.state
+        rows = self.x.reshape((batch.rod_count * self.count, batch.dof_count))
         self._launch(
             kernels.elastic_tangents,
             (batch.node_count - 1, self.groups),
             [self.run.model[k] for k in ELASTIC] + [self.model[k] for k in ELASTIC]
             + [pace, s.dof, s.director, s.reference_twist]
             + [strain_before, strain_older, self.strain, self.strain_older, self.per_thread],
-            [self.x.reshape((batch.rod_count * self.count, batch.dof_count))],
+            [rows],
         )  # fmt: skip
+        if batch.inelastic is not None:
+            self._launch(
+                yield_tangents.yield_tangents,
+                (batch.node_count - 2, self.groups),
+                [batch.elastic_model, self.yielding, batch.inelastic, self.kept, pace]
+                + [s.dof, s.director, self.per_thread],
+                [rows],
+            )
 
     def _solve(self, accepted):
         """x <- solution of the step's matrix for x."""
@@ -148,14 +164,22 @@ class MotionTangents:
             banded.solve, (self.count,), [accepted, self.batch.free, self.system.factor], [self.x]
         )
 
-    def _strains(self, accepted, out):
-        s = self.batch.state
+    def _strains(self, pace, out):
+        batch, s = self.batch, self.batch.state
         self._launch(
             observed_tangents.measure_strain_tangents,
-            (self.batch.node_count - 1, self.groups),
-            [accepted, s.dof, s.director, self.now, self.per_thread],
+            (batch.node_count - 1, self.groups),
+            [pace.accepted, s.dof, s.director, self.now, self.per_thread],
             [out],
         )
+        if batch.inelastic is not None:
+            self._launch(
+                yield_tangents.carry_yield_tangents,
+                (batch.node_count - 2, self.groups),
+                [batch.elastic_model, self.yielding, batch.inelastic, pace, s.dof, s.director]
+                + [out, self.per_thread],
+                [self.kept],
+            )
 
     def _hold(self, pace, out):
         batch, run = self.batch, self.run
@@ -191,7 +215,7 @@ class MotionTangents:
         self._elastic(rest, strain, strain)
         self._solve(every)
         self.now.assign(self.x.numpy() + value)
-        self._strains(every, self.strain)
+        self._strains(rest, self.strain)
         wp.copy(self.strain_older, self.strain)
         self.step_held.zero_()
 
@@ -244,7 +268,7 @@ class MotionTangents:
             [pace, self.x, self.step_held, self.per_thread],
             [self.now, self.older, self.velocity, self.velocity_older],
         )
-        self._strains(accepted, self.strain_new)
+        self._strains(pace, self.strain_new)
         self._launch(
             observed_tangents.shift_strain_tangents,
             (batch.node_count - 1, self.groups),
