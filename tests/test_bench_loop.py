@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cli import refused, told
+from scipy.spatial.transform import Rotation
 
 import wrod
 from wrod.bench.loop_run import clamped_experiment
+from wrod.deployment.result import deployment_error
 from wrod.errors import DataError
 from wrod.identification.clamped.loading import measurements_from_arrays
 
@@ -99,11 +101,23 @@ def test_a_rod_put_down_exactly_springs_as_far_as_friction_lets_it():
         trial = wrod.Trial(line, one, path, wrod.Friction(mu))
         chosen = _expected_best({("own", 0): trial}, one, SimpleNamespace(static=mu), hold)
         (off,) = chosen.trajectory.metadata["put_down"].values()
-        return off
+        return off, chosen.trajectory.metadata["nearest"]
 
-    assert springs(rod, 0.1) < 0.01
-    held, slides = springs(bent, 5.0), springs(bent, 0.1)
+    assert springs(rod, 0.1)[0] < 0.01
+    (held, _), (slides, nearest) = springs(bent, 5.0), springs(bent, 0.1)
     assert held < 0.01 and slides > 0.1
+    # Its ends bend, the middle stays: there is nothing to be gained by putting it elsewhere.
+    assert 0.9 * slides < nearest <= slides
+
+
+def test_a_curve_that_was_turned_and_shifted_is_brought_back():
+    from wrod.bench.loop_trials import _nearest
+
+    letter = wrod.pattern("letter-U")
+    s = np.linspace(0.0, letter.length, 40)
+    x = letter.sample(s)[0]
+    moved = x @ Rotation.from_euler("z", 0.5).as_matrix().T + [0.03, -0.02, 0.01]
+    assert _nearest(letter, s, moved) < 1e-3 * deployment_error(letter, s, moved)[0]
 
 
 def test_the_report_says_what_lies_once_the_grip_lets_go_and_what_diverged():
@@ -114,12 +128,13 @@ def test_the_report_says_what_lies_once_the_grip_lets_go_and_what_diverged():
         one |= dict(error_mean=0.5, released_error_mean=released, contact_friction=0.1, rivals={})
         return one | more
 
-    chosen = dict(rivals={"own by 0 degrees": 0.6}, put_down={"0": 3.4}, diverged=True)
+    chosen = dict(rivals={"own by 0 degrees": 0.6}, put_down={"0": 3.4}, nearest=2.1, diverged=True)
     chosen |= dict(ended=7.25, let_go=9.5)
     rows = [row("none", "old", 0.1), row("cable", "old", 5.8), row("cable", "new", 2.5, **chosen)]
     text = "\n".join(summary(rows))
     assert "5.80 cm by the old plan, 2.50 cm by the new one" in text
-    assert "put down exactly on the pattern and let go, by 0 degrees 3.4 cm." in text
+    assert "put down exactly on the pattern and let go, by 0 degrees 3.4 cm; what it " in text
+    assert "turned and shifted on the table as fits best, 2.1 cm." in text
     assert "1 of 3 deployments diverged: bend (cable, default) by the new plan after 7.25 s" in text
 
 

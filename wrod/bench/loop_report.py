@@ -147,7 +147,8 @@ def summary(rows: list[dict]) -> list[str]:
             f"{_who(row)}: what the found rod was expected to be laid by, from which the new plan "
             f"was chosen: {said}.",
             f"{_who(row)}: once the grip has let go {old:.2f} cm by the old plan, {new:.2f} cm by "
-            f"the new one; put down exactly on the pattern and let go, by {down}.",
+            f"the new one; put down exactly on the pattern and let go, by {down}; what it "
+            f"springs to, turned and shifted on the table as fits best, {row['nearest']:.1f} cm.",
         ]
     lost = [
         f"{_who(row)} by the {row['plan']} plan after {row['ended']:.2f} s (the grip lets go after "

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 
 from wrod.bench.campaign import figures_of
 from wrod.bench.put_down import put_down
@@ -16,6 +17,7 @@ from wrod.errors import DataError
 from wrod.patterns.pattern import Pattern
 from wrod.patterns.shapes import straight, strokes
 from wrod.planning.tail import tail
+from wrod.rods.discretisation import in_principal
 from wrod.rods.law import Softening
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import Rod, RodModel
@@ -120,14 +122,16 @@ def _expected_best(rivals: dict, model, law, hold: float):
         for (name, turn), error in zip(rivals, errors, strict=True)
     }
     down = {turn: one for (name, turn), one in rivals.items() if name == "own"}
-    springs = dict(zip(map(str, down), _springs(list(down.values())), strict=True))
-    path, more = best.trajectory, {"rivals": said, "put_down": springs}
+    springs, nearest = zip(*_springs(list(down.values())), strict=True)
+    springs = dict(zip(map(str, down), springs, strict=True))
+    path, more = best.trajectory, {"rivals": said, "put_down": springs, "nearest": min(nearest)}
     return replace(best, trajectory=replace(path, metadata={**path.metadata, **more}))
 
 
-def _springs(trials: list) -> list[float]:
+def _springs(trials: list) -> list[tuple[float, float]]:
     """e_mean [cm] of rods that are put down exactly on their patterns, rolled as they are held, and
-    let go; infinite where one diverged."""
+    let go, and that where they then lay turned and shifted on the table as fits best; infinite
+    where one diverged."""
     jobs = [
         (t.pattern, RodModel.of(t.rod).turned(t.trajectory.roll), t.friction, Disturbance())
         for t in trials
@@ -136,9 +140,25 @@ def _springs(trials: list) -> list[float]:
     nodes = int(np.ceil(_PUT_DOWN * longest / trials[0].rod.gravito_bending_length)) + 1
     ends = put_down(jobs, node_count=nodes, step=0.02)
     return [
-        np.inf if lost else 100.0 * deployment_error(t.pattern, s, place)[0]
-        for t, (s, place, lost, _) in zip(trials, ends, strict=True)
+        (np.inf, np.inf)
+        if lost
+        else (100.0 * deployment_error(t.pattern, s, at)[0], 100.0 * _nearest(t.pattern, s, at))
+        for t, (s, at, lost, _) in zip(trials, ends, strict=True)
     ]
+
+
+def _nearest(pattern: Pattern, arc_length: np.ndarray, centerline: np.ndarray) -> float:
+    """Least e_mean [m] of a centerline (node, 3), however turned and shifted on the table."""
+    middle = centerline[:, :2].mean(axis=0)
+
+    def error(how: np.ndarray) -> float:
+        turned = in_principal(centerline[:, :2] - middle, how[2])
+        return deployment_error(pattern, arc_length, turned + middle + pattern.length * how[:2])[0]
+
+    # By simplices, since a mean of distances has kinks; of shares of the length and an angle.
+    corners = np.vstack([np.zeros(3), 0.05 * np.eye(3)])
+    how = {"initial_simplex": corners, "xatol": 1e-5, "fatol": 1e-7, "maxiter": 600}
+    return float(minimize(error, np.zeros(3), method="Nelder-Mead", options=how).fun)
 
 
 def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
@@ -153,6 +173,7 @@ def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
         "natural_share": trial.trajectory.natural_share,
         "rivals": metadata.get("rivals", {}),
         "put_down": metadata.get("put_down", {}),
+        "nearest": metadata.get("nearest"),
         "ended": deployment.duration,
         "let_go": deployment.let_go,
     }
