@@ -19,9 +19,9 @@ from wrod.identification.laid.camera import OverheadCamera
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.placement import Alignment, rigid
 from wrod.identification.laid.scenario import (
-    HELD,
     LaidRod,
     Scenario,
+    begun,
     own_mesh,
     plan_without_lead_in,
 )
@@ -272,7 +272,7 @@ def _lay(photograph, group: list[Mechanism], mesh: Discretisation, device: str) 
     mesh = own_mesh(mesh, photograph.pattern, believed, path)
     laid = simulate_deployments(
         trials,
-        hold=HELD if group[0].scenario.held else 0.0,
+        **begun(group[0].scenario.held, believed),
         discretisation=replace(mesh, step=fast) if group[0].fast else mesh,
         speed=group[0].speed,
         device=device,

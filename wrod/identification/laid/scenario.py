@@ -3,7 +3,8 @@
 A scenario says what the plan does not know: the table's friction, the rod's true L_gb and natural
 curvature, how it is rolled in the grip, and how much more of it hangs below the grip than the plan
 believes. The rod hangs from the grip with its free end on the pattern's first point, as a robot
-begins that goes straight above the contact; or its first centimetres are held along the pattern.
+begins that goes straight above the contact; or its first centimetres are held along the pattern
+until the rod lies beyond them.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,8 +44,8 @@ class Scenario:
         excess: how much more rod hangs below the grip than the plan believes [m].
         radius_ratio: true over believed radius at the same weight and bending stiffness; below 1
             the rod stretches less, by its square [-].
-        held: whether the first 5 cm are held along the pattern at first; otherwise the rod hangs
-            straight above the pattern's first point and its free end is let go.
+        held: whether the first 5 cm are held along the pattern until 1 L_gb more is laid; otherwise
+            the rod hangs straight above the pattern's first point and its free end is let go.
         damping: Kelvin-Voigt time of the rod's material [s]; None: as deployments take it.
     """
 
@@ -108,6 +109,17 @@ def own_mesh(
     return replace(mesh, node_count=nodes_needed([trial], mesh.spacing, mesh.laid))
 
 
+def begun(held: bool, believed: RodMaterial) -> dict[str, float]:
+    """How the free end begins, as `wrod.simulate_deployments` takes it.
+
+    A grip straight above the contact keeps the rod taut, and the table is touched some L_gb later
+    than planned: let go at once the held end would be snatched, by 0 to 5 mm as its mesh has it.
+    """
+    if not held:
+        return {"hold": 0.0}
+    return {"hold": HELD, "release": HELD + believed.gravito_bending_length}
+
+
 def lay(
     pattern: Pattern,
     believed: RodMaterial,
@@ -144,7 +156,7 @@ def lay(
     ]  # fmt: skip
     laid = simulate_deployments(
         trials,
-        hold=HELD if scenarios[0].held else 0.0,
+        **begun(scenarios[0].held, believed),
         discretisation=own_mesh(discretisation, pattern, believed, trajectory),
         speed=speed,
         device=device,
