@@ -91,5 +91,7 @@ def smoothstep(x):
 
 def arc_length(points: np.ndarray) -> np.ndarray:
     """(..., n) lengths of polylines (..., n, 2 or 3) up to each of their points."""
-    steps = np.linalg.norm(np.diff(points, axis=-2), axis=-1)
-    return np.insert(np.cumsum(steps, axis=-1), 0, 0.0, axis=-1)
+    lengths = np.zeros(points.shape[:-1])
+    steps = points[..., 1:, :] - points[..., :-1, :]
+    np.cumsum(np.sqrt((steps * steps).sum(-1)), axis=-1, out=lengths[..., 1:])
+    return lengths

@@ -135,5 +135,5 @@ def is_mask(image: np.ndarray) -> bool:
     if image.ndim != 2:
         return False
     low, high = image.min(), image.max()
-    bright = 0 if low == high else np.count_nonzero(image == high)
-    return bool(((image == low) | (image == high)).all() and 2 * bright <= image.size)
+    bright, dark = (np.count_nonzero(image == value) for value in (high, low))
+    return bool(low == high or (bright + dark == image.size and 2 * bright <= image.size))

@@ -165,7 +165,7 @@ def _checked(mask: np.ndarray) -> np.ndarray:
             f"the mask has shape {mask.shape}; it must be (H, W) with at least 16 x 16 px"
         )
     mask = (mask > 0).view(np.uint8)
-    share = mask.mean()
+    share = np.count_nonzero(mask) / mask.size
     if share == 0.0:
         raise PerceptionError("the picture is blank: no rod or stroke stands out of its background")
     if share > 0.5:
