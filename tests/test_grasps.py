@@ -132,17 +132,17 @@ def test_every_closure_converges_wherever_inputs_are_allowed(closure):
 
 
 def least(closure, force):
-    """What the grasps of a closure have least of, of forces at the contact."""
+    """What the grasps of a closure have least of, of forces at the contact. Not the ratio of those
+    of the least friction, which is not at rest there: it scatters as the thrust does."""
     if closure == "min_friction":
-        return np.linalg.norm(force[:, :2], axis=1) / force[:, 2]
+        return np.linalg.norm(force[:, :2], axis=1)
     return force[:, 2] if closure == "zero_tension" else np.linalg.norm(force, axis=1)
 
 
 @pytest.mark.parametrize(
-    ("closure", "bound", "part"),
-    [("zero_tension", 1e-8, 1.0), ("min_force", 1e-8, 0.9), ("min_friction", 1e-5, 0.75)],
+    ("closure", "part"), [("zero_tension", 1.0), ("min_force", 0.9), ("min_friction", 0.75)]
 )
-def test_wires_are_near_the_inextensible_limit(closure, bound, part):
+def test_wires_are_near_the_inextensible_limit(closure, part):
     """What a rod stretches is of first order in 1 / k_s, so that softer rods predict wires (1.5e6
     for a guide wire, 2.6e6 for nitinol of 0.5 mm). Where an optimum is flat, a change of inputs in
     their 13th digit moves a wire's grip by 3e-5 or two devices differ by it, and by 2e-9 what it
@@ -162,11 +162,11 @@ def test_wires_are_near_the_inextensible_limit(closure, bound, part):
     for name in ("position", "rotation"):
         assert np.quantile(off(name).max(axis=1), part) < 1e-7
         assert np.median(off(name)) < 1e-9
-    assert off("force", lambda force: least(closure, force)).max() < bound
+    assert off("force", lambda force: least(closure, force)).max() < 1e-8
     if closure != "zero_tension":
         for other in ("zero_tension", "min_force", "min_friction"):
             force = solve_grasps(ls, kappa, 1e7, closure=other, shapes=False).force
-            assert (least(closure, wire.force) < least(closure, force) + bound).all()
+            assert (least(closure, wire.force) < least(closure, force) + 1e-8).all()
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=needs_gpu)])
