@@ -3,6 +3,7 @@
 Rows and columns of prescribed degrees of freedom (`free` is 0) count as those of the identity.
 L overwrites nothing: `factor[r, a, k]` holds L[a, a - k] for k = 1...10 and D[a] for k = 0.
 By Sylvester's law the number of negative D is that of the negative eigenvalues of the free block.
+A CPU's: a GPU has `wrod.kernels.linear.factor_lanes` and `banded_lanes`.
 """
 
 import warp as wp
@@ -10,72 +11,188 @@ from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ZERO
 
 SMALLEST_PIVOT = wp.constant(wp.float64(1.0e-14))
-_SIZES = f"""
-    const int REACH = {HALF_BANDWIDTH}, BAND = REACH + 1;
-    const double SMALLEST = {float(SMALLEST_PIVOT)};"""
-_FACTORISE = """
-    const int n = hessian.shape[1];
-    const double* given = hessian.data + (size_t)r * n * BAND;
-    double* factor = factor_out.data + (size_t)r * n * BAND;
+# Four numbers of a node together. Nodes are coupled with two before them, by blocks of 4 x 4 that
+# lie along the band's rows backwards: four vectors, which are turned over. What of them is outside
+# of the matrix, or above its diagonal, meets only what is so as well. A last node of fewer numbers
+# is filled up in `last`, with those of the identity, as are nodes after it. Every entry is computed
+# as it would be alone: pivot after pivot is taken off it.
+_NODES = f"""
+#if !defined(__CUDA_ARCH__)
+    const int REACH = {HALF_BANDWIDTH}, BAND = REACH + 1, NODE = 4 * BAND;
+    const double SMALLEST = {float(SMALLEST_PIVOT)};
+    typedef double four __attribute__((vector_size(32), aligned(8)));
+    const four zero = {{}};
+    const int n = free.shape[1], whole = n / 4, rest = n % 4, nodes = whole + (rest > 0);
     const int* moves = free.data + (size_t)r * n;
-    int negative = 0;
-    double below[2 * REACH] = {};
-    for (int a = -REACH; a < n; ++a) {
-        // One more row comes into reach; what pivots before it take is subtracted in place.
-        const int next = a + REACH;
-        if (next < n) {
-            double* row = factor + (size_t)next * BAND;
-            const double* from = given + (size_t)next * BAND;
-            for (int k = 1; k <= REACH; ++k)
-                row[k] = k <= next && moves[next] && moves[next - k] ? from[k] : 0.0;
-            row[0] = moves[next] ? from[0] + shift : 1.0;
-        }
-        if (a < 0) continue;
-        double* own = factor + (size_t)a * BAND;
-        // A pivot that cancels to nothing would end as infinity; keep its sign and give it a size.
-        double pivot = own[0];
-        const double least =
-            moves[a] ? SMALLEST * (fabs(given[(size_t)a * BAND] + shift) + SMALLEST) : 0.0;
-        if (fabs(pivot) < least) pivot = pivot < 0.0 ? -least : least;
-        own[0] = pivot;
-        negative += pivot < 0.0;
-        const double inverse = 1.0 / pivot;
-        const int last = n - 1 - a < REACH ? n - 1 - a : REACH;
-        // Column a of L D upside down, with nothing after it: so rows of the band run along it.
-        for (int j = 1; j <= REACH; ++j)
-            below[REACH - j] = j <= last ? own[(size_t)j * (BAND + 1)] : 0.0;
-        for (int j = 1; j <= last; ++j) {
-            double* row = own + (size_t)j * BAND;
-            const double share = below[REACH - j] * inverse;
-            for (int k = 0; k < REACH; ++k) row[k] -= share * below[REACH - j + k];
-            row[j] = share;
-        }
-    }
-    negative_pivots_out.data[r] = negative;
+    double spare[3 + 4 * NODE] = {{}};
+    double* const last = spare + 3;
+    for (int i = rest; i < 16; ++i) last[i * BAND] = 1.0;
+#define WROD_UNROLL _Pragma("unroll")
+#define WROD_NODE(node) \\
+    ((node) < whole ? band + (size_t)(node) * NODE : last + ((node) - whole) * NODE)
+#define WROD_COPY(from, to, count) for (int m = 0; m < (count); ++m) (to)[m] = (from)[m];
+    auto load = [](const double* from) {{ return *(const four*)from; }};
+    auto store = [](double* to, four value) {{ *(four*)to = value; }};
+    // Columns out of rows that begin with the last of them, or such rows, the last first, out of
+    // columns that are given so.
+    auto turn = [](four* m) {{
+        const four a = __builtin_shufflevector(m[0], m[1], 0, 4, 2, 6);
+        const four b = __builtin_shufflevector(m[0], m[1], 1, 5, 3, 7);
+        const four c = __builtin_shufflevector(m[2], m[3], 0, 4, 2, 6);
+        const four d = __builtin_shufflevector(m[2], m[3], 1, 5, 3, 7);
+        m[3] = __builtin_shufflevector(a, c, 0, 1, 4, 5);
+        m[2] = __builtin_shufflevector(b, d, 0, 1, 4, 5);
+        m[1] = __builtin_shufflevector(a, c, 2, 3, 6, 7);
+        m[0] = __builtin_shufflevector(b, d, 2, 3, 6, 7);
+    }};
+    // What row i of a node has in the columns of the node `back` before, the last column first.
+    auto part = [&](const double* rows, int i, int back) {{
+        const double* row = rows + i * BAND;
+        if (back == 0 && i == 0) return four{{row[0], row[0], row[0], row[0]}};
+        if (back < 2 || i < 3) return load(row + 4 * back - 3 + i);
+        return __builtin_shufflevector(load(row + REACH - 3), zero, 1, 2, 3, 4);
+    }};
+    auto columns = [&](const double* rows, int back, four* m) {{
+        WROD_UNROLL for (int i = 0; i < 4; ++i) m[i] = part(rows, i, back);
+        turn(m);
+    }};
 """
-_SOLVE = """
-    const int n = factor.shape[1];
-    const double* band = factor.data + (size_t)r * n * BAND;
-    const int* moves = free.data + (size_t)r * n;
-    double* own = x.data + ((size_t)r * x.shape[1] + column) * n;
+_FACTORISE = r"""
+    double* const band = factor_out.data + (size_t)r * n * BAND;
+    const double* from = hessian.data + (size_t)r * n * BAND;
+    double* row = band;
+    int open = 0;  // so many neighbours up to this row are free
     for (int a = 0; a < n; ++a) {
-        const double* row = band + (size_t)a * BAND;
-        double value = moves[a] ? own[a] : 0.0;
-        // The nearest one last: it is known last.
-        for (int k = a < REACH ? a : REACH; k > 0; --k) value -= row[k] * own[a - k];
-        own[a] = value;
+        open = moves[a] ? open + 1 : 0;
+        if (open > REACH) {
+            store(row + 1, load(from + 1));
+            store(row + 5, load(from + 5));
+            row[REACH - 1] = from[REACH - 1];
+            row[REACH] = from[REACH];
+        } else {
+            for (int k = 1; k <= REACH; ++k)
+                row[k] = k <= a && moves[a] && moves[a - k] ? from[k] : 0.0;
+        }
+        row[0] = moves[a] ? from[0] + shift : 1.0;
+        row += BAND;
+        from += BAND;
     }
-    for (int a = 0; a < n; ++a) own[a] /= band[(size_t)a * BAND];
-    for (int a = n - 1; a > 0; --a) {
-        const double* row = band + (size_t)a * BAND;
-        const double value = own[a];
-        const int reach = a < REACH ? a : REACH;
-        for (int k = 1; k <= reach; ++k) own[a - k] -= row[k] * value;
+    WROD_COPY(band + whole * NODE, last, rest * BAND)
+    // A pivot that cancels to nothing would end as infinity; keep its sign and give it a size.
+#define WROD_PIVOT(p) { \
+        double pivot = own[p][p]; \
+        const double size = fabs(rows[p * BAND]); \
+        const double least = SMALLEST * (size + SMALLEST); \
+        if (__builtin_expect(fabs(pivot) < least, 0)) \
+            pivot = pivot < 0.0 ? -least : least; \
+        rows[p * BAND] = pivot; \
+        negative += pivot < 0.0; \
+        const double inverse = 1.0 / pivot; \
+        const four share = own[p] * inverse, lower = below[p] * inverse; \
+        const four lowest = under[p] * inverse; \
+        WROD_UNROLL for (int q = 0; q < 4; ++q) { \
+            if (q > p) { \
+                rows[q * BAND + q - p] = share[q]; \
+                own[q] -= share * own[p][q]; \
+                below[q] -= lower * own[p][q]; \
+                under[q] -= lowest * own[p][q]; \
+            } \
+            own_after[q] -= lower * below[p][q]; \
+            below_after[q] -= lowest * below[p][q]; \
+            own_last[q] -= lowest * under[p][q]; \
+        } \
+        below[p] = lower; \
+        under[p] = lowest; \
     }
+    // Columns of a node in its own rows, in those of the node after, and of the one after that.
+    four own[4], below[4], under[4], own_after[4], below_after[4], own_last[4], lines[4];
+    double *rows = WROD_NODE(0), *after = WROD_NODE(1);
+    columns(rows, 0, own);
+    columns(after, 1, below);
+    columns(after, 0, own_after);
+    int negative = 0;
+    for (int node = 0; node < nodes; ++node) {
+        double* const final = WROD_NODE(node + 2);
+        columns(final, 2, under);
+        columns(final, 1, below_after);
+        columns(final, 0, own_last);
+        WROD_PIVOT(0) WROD_PIVOT(1) WROD_PIVOT(2) WROD_PIVOT(3)
+        WROD_UNROLL for (int q = 0; q < 4; ++q) lines[q] = below[3 - q];
+        turn(lines);
+        WROD_UNROLL for (int i = 0; i < 4; ++i) store(after + i * BAND + 1 + i, lines[3 - i]);
+        WROD_UNROLL for (int q = 0; q < 4; ++q) lines[q] = under[3 - q];
+        turn(lines);
+        WROD_UNROLL for (int i = 0; i < 3; ++i) store(final + i * BAND + 5 + i, lines[3 - i]);
+        WROD_UNROLL for (int k = 8; k <= REACH; ++k) final[3 * BAND + k] = lines[0][k - 8];
+        WROD_UNROLL for (int q = 0; q < 4; ++q) {
+            own[q] = own_after[q];
+            below[q] = below_after[q];
+            own_after[q] = own_last[q];
+        }
+        rows = after;
+        after = final;
+    }
+    WROD_COPY(last, band + whole * NODE, rest * BAND)
+    negative_pivots_out.data[r] = negative;
+#endif
+"""
+_SOLVE = r"""
+    double* const band = factor.data + (size_t)r * n * BAND;
+    double* const own = x.data + ((size_t)r * x.shape[1] + column) * n;
+    double own_last[4] = {};
+    WROD_COPY(band + whole * NODE, last, rest * BAND)
+    for (int a = 0; a < n; ++a) own[a] = moves[a] ? own[a] : 0.0;
+    WROD_COPY(own + 4 * whole, own_last, rest)
+#define WROD_OWN(node) ((node) < whole ? own + 4 * (node) : own_last)
+    // What is nearest is known last, and comes last.
+#define WROD_TAKE_FOUR(known, back) { \
+        four m[4]; \
+        columns(rows, back, m); \
+        WROD_UNROLL for (int c = 0; c < 4; ++c) value -= m[c] * known[c]; \
+    }
+    four before = zero, earlier = zero;
+    for (int node = 0; node < nodes; ++node) {
+        const double* rows = WROD_NODE(node);
+        four value = load(WROD_OWN(node)), m[4];
+        WROD_TAKE_FOUR(earlier, 2)
+        WROD_TAKE_FOUR(before, 1)
+        columns(rows, 0, m);
+        value -= four{0.0, m[0][1], m[0][2], m[0][3]} * value[0];
+        value -= four{0.0, 0.0, m[1][2], m[1][3]} * value[1];
+        value -= four{0.0, 0.0, 0.0, m[2][3]} * value[2];
+        earlier = before;
+        before = value;
+        store(WROD_OWN(node), value / four{rows[0], rows[BAND], rows[2 * BAND], rows[3 * BAND]});
+    }
+    // Going back, a node's last unknown is its first number, as in the rows.
+    auto last_first = [&](int node) {
+        return node < 0 ? zero : __builtin_shufflevector(load(WROD_OWN(node)), zero, 3, 2, 1, 0);
+    };
+    four value = last_first(nodes - 1);
+    before = last_first(nodes - 2);
+    for (int node = nodes - 1; node >= 0; --node) {
+        const double* rows = WROD_NODE(node);
+        earlier = last_first(node - 2);
+#define WROD_GIVE(i) \
+        before -= part(rows, i, 1) * value[3 - i]; \
+        earlier -= part(rows, i, 2) * value[3 - i];
+        WROD_GIVE(3)
+        value -= __builtin_shufflevector(part(rows, 3, 0), zero, 4, 1, 2, 3) * value[0];
+        WROD_GIVE(2)
+        value -= __builtin_shufflevector(part(rows, 2, 0), zero, 4, 5, 2, 3) * value[1];
+        WROD_GIVE(1)
+        value -= __builtin_shufflevector(part(rows, 1, 0), zero, 4, 5, 6, 3) * value[2];
+        WROD_GIVE(0)
+        store(WROD_OWN(node), __builtin_shufflevector(value, zero, 3, 2, 1, 0));
+        value = before;
+        before = earlier;
+    }
+    WROD_COPY(own_last, own + 4 * whole, rest)
+#endif
 """
 
 
-@wp.func_native(_SIZES + _FACTORISE)
+@wp.func_native(_NODES + _FACTORISE)
 def factorise_rod(
     free: wp.array2d(dtype=wp.int32),
     hessian: wp.array3d(dtype=wp.float64),
@@ -86,7 +203,7 @@ def factorise_rod(
 ): ...
 
 
-@wp.func_native(_SIZES + _SOLVE)
+@wp.func_native(_NODES + _SOLVE)
 def solve_rod(
     free: wp.array2d(dtype=wp.int32),
     factor: wp.array3d(dtype=wp.float64),
@@ -174,10 +291,11 @@ def multiply(
     r, j, a = wp.tid()
     if active[r] == 0:
         return
-    n = hessian.shape[1]
     value = wp.float64(0.0)
-    for b in range(wp.max(0, a - HALF_BANDWIDTH), wp.min(n, a + HALF_BANDWIDTH + 1)):
-        value += banded_entry(hessian, r, a, b) * vector[r, j, b]
+    for b in range(wp.max(0, a - HALF_BANDWIDTH), a):
+        value += hessian[r, a, a - b] * vector[r, j, b]
+    for b in range(a, wp.min(hessian.shape[1], a + HALF_BANDWIDTH + 1)):
+        value += hessian[r, b, b - a] * vector[r, j, b]
     product_out[r, j, a] = value
 
 

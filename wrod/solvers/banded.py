@@ -82,11 +82,15 @@ class BandedSystem:
 
     def solve(self, active: wp.array, columns: int | None = None) -> None:
         """Overwrite the first (default: all) right-hand sides in `x` with their solutions."""
+        self.solve_in(self.x, active, columns)
+
+    def solve_in(self, x: wp.array, active: wp.array, columns: int | None = None) -> None:
+        """The same in an array of one's own."""
         self._launch(
             (banded.solve, banded_lanes.solve),
-            (self.batch.rod_count, columns or self.x.shape[1]),
+            (self.batch.rod_count, columns or x.shape[1]),
             [active, self.batch.free, self.factor],
-            [self.x],
+            [x],
         )
 
     @property

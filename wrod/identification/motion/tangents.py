@@ -160,9 +160,7 @@ class MotionTangents:
     def _solve(self, accepted):
         """x <- solution of the step's matrix for x."""
         self.system.factorise(self.batch.derivatives.hessian, accepted)
-        self._launch(
-            banded.solve, (self.count,), [accepted, self.batch.free, self.system.factor], [self.x]
-        )
+        self.system.solve_in(self.x, accepted)
 
     def _strains(self, pace, out):
         batch, s = self.batch, self.batch.state
