@@ -348,4 +348,6 @@ def _measuring(model: Model) -> bool:
 
 
 def _key(model: Model, values: np.ndarray, trials: np.ndarray) -> tuple:
-    return tuple(map(id, model.effects)), np.asarray(values).tobytes(), trials.tobytes()
+    """What names a state: effects of no size leave it as it is."""
+    parts = [(id(e), v) for e, v in zip(model.effects, model.split(values), strict=True)]
+    return (*((e, v.tobytes()) for e, v in parts if v.any()), trials.tobytes())
