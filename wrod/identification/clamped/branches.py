@@ -103,6 +103,7 @@ def to_measured(
         share = _CLEARLY if clearly or tries is _MORE else 1.0
         for turns, roll in tries if asked.any() else ():
             solver.shape_to(setups, shape, turns=turns, roll=roll)
+            solver.restore(led.state, ~asked)  # at rest, they cost nothing
             tried = _Tried(solver, solver.relax(setups), shape, "measured")
             # Squares tell: of noise both have the same.
             nearer = (
