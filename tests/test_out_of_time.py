@@ -61,7 +61,8 @@ def test_what_was_judged_stays_where_another_model_takes_too_long(bent, monkeypa
         laboratory.set_noise(NoiseModel())
         raise OutOfTime
 
-    laboratory, only = Laboratory(measurements_from_arrays(bent)), [effects()["stiffness"]]
+    laboratory = Laboratory(measurements_from_arrays(bent), edge_count=30)
+    only = [effects()["stiffness"]]
     found = selection.select(laboratory, only)
     noise, laboratory.clock = laboratory.noise, Clock(600.0)
     monkeypatch.setattr(selection, "_another", another)
