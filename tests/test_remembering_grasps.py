@@ -76,7 +76,7 @@ def test_a_rod_that_never_yields_hangs_as_a_linear_one():
 def test_grasps_converge_with_the_distance_of_contacts():
     """Twice, and in a mirror."""
     wire, how = of_law(Plastic(10.0, 0.4)), dict(device="cpu", edge_count=32)
-    contacts = np.linspace(0.0, 3.2 * LGB, 129)
+    contacts = np.linspace(0.0, 1.6 * LGB, 65)
     curvature = 15.0 * np.sin(contacts / 0.03)
     fine, less, least = (
         wrod.solve_rod_grasps(wire, contacts[::k], curvature[::k], **how) for k in (1, 2, 4)
