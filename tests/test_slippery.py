@@ -7,8 +7,10 @@ import pytest
 from click.testing import CliRunner
 
 import wrod
+from wrod.bench.held import held
 from wrod.bench.slippery_report import means, summary, told
 from wrod.commands import main
+from wrod.deployment.result import errors_along
 
 
 def test_summary_is_the_mean_over_trials_and_then_over_cells():
@@ -116,3 +118,34 @@ def test_where_the_robot_stands_bounds_what_a_plan_can_do(tmp_path, kinds):
     expected = np.hypot(along - 0.5 * s * yaw**2, aside + s * yaw).mean()
     assert cell["error_mean"]["misplaced"] == pytest.approx(100.0 * expected, rel=1e-3, abs=1e-9)
     assert cell["error_robot"]["misplaced"] < 1e-6
+
+
+@pytest.mark.parametrize(
+    "name, friction, error",
+    [("letter-A", 0.4, 9.1e-5), ("letter-A", 0.2, 8.76e-4), ("letter-L", 0.2, 7.61e-4)],
+)
+def test_the_nearest_curve_that_friction_holds_is_that_of_another_solver(name, friction, error):
+    """Of IPOPT, with curvature, shear and tension as unknowns, on edges of L_gb / 8."""
+    pattern, rod = wrod.pattern(name), wrod.rod("green-vps")
+    s, place = held(pattern, rod, friction)
+    assert errors_along(pattern, s, place)[1].mean() == pytest.approx(error, rel=0.06)
+
+
+def test_a_beginning_is_held_by_what_lies_before_it():
+    """Friction over a length s from the free end bears a moment of mu w s^2 / 2 at most."""
+    pattern, rod, friction = wrod.pattern("circle"), wrod.rod("green-vps"), 0.1
+    lgb = rod.gravito_bending_length
+    s, place = held(pattern, rod, friction)
+    edges = np.diff(place[:, :2], axis=0)
+    turns = np.diff(np.unwrap(np.arctan2(edges[:, 1], edges[:, 0])))
+    curvature, most = np.abs(turns) * lgb / np.diff(s)[1:], 0.5 * friction * (s[1:-1] / lgb) ** 2
+    asked = np.abs(pattern.sample(s[1:-1])[2]) * lgb
+    early = most < 0.5 * asked
+    assert early.sum() > 3 and np.all(curvature <= most * (1.0 + 1e-9))
+    assert curvature[early] == pytest.approx(most[early], rel=0.05)
+
+
+def test_much_friction_holds_the_pattern():
+    pattern = wrod.pattern("letter-A")
+    s, place = held(pattern, wrod.rod("green-vps"), 3.0)
+    assert errors_along(pattern, s, place)[1].mean() < 3e-5

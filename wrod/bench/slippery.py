@@ -37,6 +37,7 @@ METHODS = (
     "feedback",
     report.PUT_DOWN,
     report.MISPLACED,
+    report.HELD,
 )
 # Those whose plan is corrected for its table, and that plan.
 _CORRECTED = {
@@ -47,7 +48,9 @@ _CORRECTED = {
 }
 _OPTIMISED = ("optimised", "certain")
 # Only where they are asked for.
-_ASKED = ("min_force", "certain")
+_ASKED = ("min_force", "certain", report.HELD)
+# Those that no other engine plays.
+_OWN = ("feedback", report.HELD)
 # Seeds of disturbances that no plan was fitted to or judged by.
 _FIRST_SEED = 9_000
 _PLAN_SPACING = 0.005
@@ -69,8 +72,8 @@ def command(
     rods: str = option("With commas between them.", default="green-vps,rope,pink-vps"),
     names: str = option("Patterns.", default="sine,letter-U,letter-C,letter-L,letter-A"),
     methods: str = option(
-        "What lays them; also min_force, and certain: optimised for the very rod and table of the "
-        "trials, but for what disturbs these.",
+        "What lays them; also min_force, certain (optimised for the very rod and table of the "
+        "trials, but for what disturbs these) and held: the nearest curve that friction can hold.",
         default=",".join(m for m in METHODS if m not in _ASKED),
     ),
     trials: int = option("Disturbed trials a cell.", default=2),
@@ -120,7 +123,7 @@ def command(
         (*cell, trial)
         for trial in range(trials)
         for cell in cells
-        if cell[3] != "feedback" or cell[4] == "wrod"
+        if cell[3] not in _OWN or cell[4] == "wrod"
     ]
 
     jobs = [(shelf, key, how) for key in ledger.lacking(keys)]
@@ -277,6 +280,7 @@ def _planning(shelf: Shelf, rod_name: str, name: str, friction: float, method: s
 
 def _course(shelf: Shelf, key: tuple, how: dict):
     """What is laid in a trial, and its row."""
+    from wrod.bench.held import held
     from wrod.bench.mujoco_chain import lay_in_mujoco, put_down_in_mujoco
     from wrod.bench.put_down import put_down
     from wrod.deployment.feedback import Plant, following
@@ -306,6 +310,8 @@ def _course(shelf: Shelf, key: tuple, how: dict):
         s = np.linspace(-led.remainder_length, led.length, 400)
         place = led.sample(s)[0]
         s, place = s + led.remainder_length, told.displaced(place, place[0])
+    elif method == report.HELD:
+        s, place = held(led, material, mu)
     else:
         trajectory = shelf.plan(rod_name, name, mu, _CORRECTED.get(method, method))
         trial = Trial(led, material, trajectory, Friction(mu), told, Tail.none(trajectory))

@@ -13,6 +13,8 @@ KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
 # A rod that is put down exactly where a robot that stands elsewhere, and does not know it, has the
 # pattern, and one that stays there: what no plan can be better than on average.
 PUT_DOWN, MISPLACED = "put_down", "misplaced"
+# The nearest curve to the pattern that can lie at rest, wherever the robot stands.
+HELD = "held"
 # Put down exactly, a rod that moves by less than this [cm] has nothing that springs back.
 _MOVES = 0.1
 # From the pattern, from where the robot, misplaced, has it, and from where trials lie on average,
@@ -68,7 +70,7 @@ def means(table: list[dict], bends: Callable[[str, str], bool]) -> list[dict]:
                 out[-1].setdefault("better", {})[name] = {
                     m: sum(c[name][m] < c[name][PUT_DOWN] for c in cells)
                     for m in common
-                    if m not in (PUT_DOWN, MISPLACED)
+                    if m not in (PUT_DOWN, MISPLACED, HELD)
                 }
         if PUT_DOWN in out[-1]["error_mean"]:
             moved = [c["error_mean"] for c in cells if c["error_robot"][PUT_DOWN] > _MOVES]
@@ -98,7 +100,7 @@ def told(table: list[dict], groups: list[dict]) -> list[str]:
         lines.append(
             f"mean of {one['cells']} {kind} 0.4 / L_gb, friction {one['friction']:g}: {errors(one)}"
         )
-        if "better" in one:
+        if one.get("better", {}).get(_ERRORS[0]):
             on_table, own = (one["better"][name] for name in _ERRORS[:2])
             each = ", ".join(f"{m} {on_table[m]} ({own[m]})" for m in on_table)
             lines.append(f"cells of these in which rods lie nearer than those put down: {each}")
