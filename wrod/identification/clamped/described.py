@@ -139,7 +139,8 @@ class Stretch(Described):
         Parameter("mass_gain", "", 2.0, lower=-0.95),
         Parameter("start", "m", 0.5, anywhere=True),
         Parameter("log_length", "", 1.0, lower=np.log(2e-3), anywhere=True),
-        Parameter("log_softness", "", 1.0),
+        # A nick may be all sides: two standard deviations are a share of a half.
+        Parameter("log_softness", "", 1.5),
     )
 
     def apply(self, setup, values):
