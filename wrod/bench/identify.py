@@ -51,7 +51,8 @@ def command(
     from wrod.rods.device import resolve_device
 
     if listed:
-        return tell({"cases": list(cases())}, *cases())
+        tell({"cases": list(cases())}, *cases())
+        return
     if (folder is None) == (not seeds):
         raise click.UsageError("give either --sets FOLDER or --hidden SEED")
     device = resolve_device(device)
@@ -63,7 +64,6 @@ def command(
             said = "--noise, --only, --out and --workers are of --hidden; drop them beside --sets"
             raise click.UsageError(said)
         _measured(folder, seconds, device)
-    return None
 
 
 def _hidden(seeds, noises, only, out, workers, limit, device) -> None:
