@@ -301,12 +301,12 @@ def finish_tangents(
     velocity: wp.array3d(dtype=wp.float64),
     velocity_older: wp.array3d(dtype=wp.float64),
 ):
-    """Shift the tangents' history by a step."""
-    r, a, group = wp.tid()
+    """Shift the tangents' history by a step; a thread works on `per_thread` numbers of a column."""
+    r, j, part = wp.tid()
     if pace.accepted[r] == 0:
         return
     c = pace.coefficient[r]
-    for j in range(group * per_thread, wp.min(held.shape[1], (group + 1) * per_thread)):
+    for a in range(part * per_thread, wp.min(held.shape[2], (part + 1) * per_thread)):
         now = solution[r, j, a] + held[r, j, a]
         v = c[0] * now + c[1] * tangent[r, j, a] + c[2] * older[r, j, a]
         velocity_older[r, j, a] = velocity[r, j, a]

@@ -132,6 +132,7 @@ class MotionTangents:
         # A processor's core takes all columns of a node, a GPU's threads one each.
         self.per_thread = P if wp.get_device(device).is_cpu else 1
         self.groups = -(-P // self.per_thread)
+        self.dofs_per_thread = dofs if wp.get_device(device).is_cpu else 1
 
     def _launch(self, kernel, dim, inputs, outputs=()):
         dim = (self.batch.rod_count, *dim)
@@ -262,8 +263,8 @@ class MotionTangents:
         self._solve(accepted)
         self._launch(
             kernels.finish_tangents,
-            (batch.dof_count, self.groups),
-            [pace, self.x, self.step_held, self.per_thread],
+            (self.count, batch.dof_count // self.dofs_per_thread),
+            [pace, self.x, self.step_held, self.dofs_per_thread],
             [self.now, self.older, self.velocity, self.velocity_older],
         )
         self._strains(pace, self.strain_new)
