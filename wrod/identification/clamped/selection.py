@@ -51,11 +51,11 @@ from wrod.identification.clamped.verdict import (
     only_so_far,
 )
 from wrod.identification.effect import Effect
+from wrod.identification.effects.law import LAWS
 
 MOST_EFFECTS = 3
-# Laws of bending, and effects that one of unknown form may be taken for.
-_LAWS = ("softening", "stiffening", "yielding")
-_LIKE_A_LAW = (*_LAWS, "stiffness", "anisotropic_bending")
+# Effects that a law of unknown form may be taken for.
+_LIKE_A_LAW = (*LAWS, "stiffness", "anisotropic_bending")
 # How often to choose at most, each time with the noise that the last choice has left.
 _NOISE_PASSES = 3
 
@@ -160,7 +160,7 @@ def _opening(
     near, best = _reaches_noise(laboratory, singles[0]), singles[0].model.names[0]
     # Its form may be another one even where the nearest known law leaves no more than noise: what
     # mends a law's form passes for a second effect.
-    if best in (_LAWS if near else _LIKE_A_LAW) and all(e.name != MomentLaw.name for e in pool):
+    if best in (LAWS if near else _LIKE_A_LAW) and all(e.name != MomentLaw.name for e in pool):
         pool.append(moment_law_of(laboratory))
         singles = best_of_each([*singles, *extensions(laboratory, empty, pool[-1:])])
         near = _reaches_noise(laboratory, singles[0])

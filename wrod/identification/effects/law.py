@@ -97,6 +97,10 @@ class Yielding(Softening):
         setup.yielding = np.array([values[1], np.exp(values[0])])
 
 
+# Of these a rod has one.
+LAWS = (Softening.name, Stiffening.name, Yielding.name)
+
+
 class BendTwist(Effect):
     """A rod that twists as it is bent, as one does whose layers or strands are laid at an angle."""
 

@@ -1,9 +1,10 @@
 """Which effects a rod's motion asks for: selection on recordings that were not fitted.
 
 Its rounds are told in docs/identification-motion.md ("Choice"). Beside the `KEPT_ON` candidates
-with the least error the most promising one is fitted: laws of bending come to what they promise in
-many steps only. Others have to gain against the present model that was fitted on, too. When the
-rounds end, effects are tried without that the linearised problem hardly needs.
+with the least error the most promising one is fitted, and the most promising law of bending: laws
+come to what they promise in many steps only. Others have to gain against the present model that was
+fitted on, too. When the rounds end, effects are tried without that the linearised problem hardly
+needs.
 """
 
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wrod.identification.effect import Effect, Model, effects
+from wrod.identification.effects.law import LAWS, Yielding
 from wrod.identification.motion.fit import Linearised, MotionLaboratory
 from wrod.identification.motion.linearised import (
     confounded_pairs,
@@ -239,7 +241,8 @@ class _Selection:
             values = self.rod.step(now.medium, model, np.r_[now.values, start], at)
             stepped[effect.name] = self._validated(model, values, now)
         kept = sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]
-        for name in dict.fromkeys([*kept, *list(stepped)[:1]]):
+        laws = [name for name in stepped if name in LAWS]
+        for name in dict.fromkeys([*kept, *list(stepped)[:1], *laws[:1]]):
             one = stepped[name]
             fitted = self._fit(one.model, one.values, _LONGEST, _SETTLED, now)
             tried[name] = min(one, fitted, key=lambda t: t.validation)
@@ -254,7 +257,9 @@ class _Selection:
             return now, False
         name = best.model.names[-1]
         self._note(now.model, best, rows, reason, accepted=name)
-        self.left = [c for c in self.left if c.name != name]
+        # Beside a law that yields no other one counts.
+        gone = LAWS if name == Yielding.name else (name,)
+        self.left = [c for c in self.left if c.name not in gone]
         return best, True
 
     def _best(self, now: _Fitted, found: list[_Fitted]) -> tuple[_Fitted, _Fitted | None, str]:
