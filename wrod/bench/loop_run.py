@@ -216,7 +216,7 @@ def _recorded(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
         recordings = load_motion(loop.recording)
         # Grasps of a rod that remembers are a sequence, of which eight plans take too long.
         asked = loop.candidates or [n for n in effects("motion") if n != Yielding.name]
-        report = identify(
+        report: Any = identify(
             recordings, candidates=asked, device=loop.device, steps=steps, evidence=False
         )
     written, model = report.save(loop.out / name), report.model
