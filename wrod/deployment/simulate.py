@@ -126,7 +126,9 @@ def simulate_deployments(
         hold: length of the free end that is laid and held along the pattern at first [m]; 0: the
             rod hangs from the grip's first pose with its free end on the pattern's first point,
             and that point alone is held until the grip is there.
-        release: laid length at which the free end is let go [m]; default: `hold`.
+        release: laid length at which the free end is let go [m]; default: `hold`. A grip that keeps
+            the rod taut, as method "intuitive" does, snatches what is let go before the rod lies
+            beyond it: give 1 L_gb more for it.
         speed: at which the contact moves [m/s], slower where the grip has far to go; the tail is
             laid twice as fast.
         discretisation: how finely it is computed.
