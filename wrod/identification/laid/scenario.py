@@ -9,6 +9,7 @@ until the rod lies beyond them.
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -109,7 +110,7 @@ def own_mesh(
     return replace(mesh, node_count=nodes_needed([trial], mesh.spacing, mesh.laid))
 
 
-def begun(held: bool, believed: RodMaterial) -> dict[str, float]:
+def begun(held: bool, believed: RodMaterial) -> dict[str, Any]:
     """How the free end begins, as `wrod.simulate_deployments` takes it.
 
     A grip straight above the contact keeps the rod taut, and the table is touched some L_gb later
