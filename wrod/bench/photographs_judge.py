@@ -91,8 +91,9 @@ def judge(photographs: list[LaidPhotograph], laid: Deployments, drawn: int | Non
     rods = [laid.of(p, "int", scenarios[p.rod]) for p in photographs]
     believed = [one[believed_scenario(p.rod)] for p, one in zip(photographs, rods, strict=True)]
     patterns = sorted({p.pattern_name for p in photographs})
-    cameras = {name: _camera(photographs, believed, name) for name in patterns}
-    camera = _camera(photographs, believed, None)
+    left_out = [(photographs, believed, name) for name in (*patterns, None)]
+    *found, camera = laid.map(_camera, left_out)
+    cameras = dict(zip(patterns, found, strict=True))
     columns = laid.map(
         _column,
         [

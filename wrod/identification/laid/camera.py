@@ -7,7 +7,7 @@ the grip is shown from where it hangs tells the three numbers.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,8 +28,11 @@ _FULL = 30
 # Prior: standard deviations of the place about the pictures' middle [m] and of the logarithm of
 # the height about 0.7 m, and what one of them is worth against a picture's distance [m].
 _PLACE, _HEIGHT, _LOG_HEIGHT, _WORTH = 0.1, 0.7, 0.3, 1e-3
+_PRIOR = np.array([_PLACE, _PLACE, _LOG_HEIGHT])
 # Placing and finding are repeated until the camera moves less than so far, in its priors' units.
-_ROUNDS, _STILL = 8, 0.02
+# What is found hangs on where that began, as cameras aside on one line are hardly told apart.
+_ROUNDS, _STILL = 6, 0.02
+_STARTS = [(right, up) for right in (-0.1, 0.0, 0.1) for up in (-0.1, 0.0, 0.1)]
 # Where the search begins, about the last camera.
 _SIMPLEX = np.vstack([np.zeros(3), np.diag([0.08, 0.08, -0.3])])
 
@@ -63,7 +66,8 @@ def find_camera(photographs: Sequence[LaidPhotograph], rods: Sequence[LaidRod]) 
     """The camera that brings predicted rods nearest to what is seen hanging.
 
     Every picture is first placed by one rigid motion, then the sum over pictures of the mean
-    distance of the hanging points, each cut at 15 mm, is made least; until the camera stays.
+    distance of the hanging points, each cut at 15 mm, is made least; until the camera stays. It
+    begins at the best of nine places, and the best camera of all rounds is taken.
 
     Args:
         photographs: of laid rods; rods: where a simulation lays each.
@@ -73,8 +77,10 @@ def find_camera(photographs: Sequence[LaidPhotograph], rods: Sequence[LaidRod]) 
     """
     if len(photographs) != len(rods):
         raise DataError(f"{len(photographs)} photographs and {len(rods)} rods; give one rod each")
-    camera = OverheadCamera(height=1.0)
-    for _ in range(_ROUNDS):
+    seen: list[tuple[float, OverheadCamera]] = []
+
+    def at(camera: OverheadCamera) -> Callable[[np.ndarray], float]:
+        """What is to be made least, with every picture placed as this camera shows the rods."""
         tails = [
             tail
             for p, one in zip(photographs, rods, strict=True)
@@ -83,26 +89,38 @@ def find_camera(photographs: Sequence[LaidPhotograph], rods: Sequence[LaidRod]) 
         if not tails:
             raise DataError("nothing hangs in any photograph, so nothing tells of the camera")
 
-        def cost(x, tails=tails):
+        def cost(x: np.ndarray) -> float:
             far = sum(
                 t.weight * t.miss(OverheadCamera(x[0], x[1], float(np.exp(x[2])))) for t in tails
             )
-            off = x / [_PLACE, _PLACE, _LOG_HEIGHT] - [0.0, 0.0, np.log(_HEIGHT) / _LOG_HEIGHT]
+            off = x / _PRIOR - [0.0, 0.0, np.log(_HEIGHT) / _LOG_HEIGHT]
             return far + _WORTH * float(off @ off)
 
+        seen.append((cost(_vector(camera)), camera))
+        return cost
+
+    for right, up in _STARTS:
+        at(OverheadCamera(right, up, _HEIGHT))
+    camera = _best(seen)
+    for _ in range(_ROUNDS):
         # Which place of the rod is nearest changes by jumps: no derivatives.
         found = minimize(
-            cost,
+            at(camera),
             _vector(camera),
             method="Nelder-Mead",
             options={"xatol": 1e-3, "fatol": 1e-6, "maxfev": 200,
                      "initial_simplex": _vector(camera) + _SIMPLEX},
         ).x  # fmt: skip
-        moved = (found - _vector(camera)) / [_PLACE, _PLACE, _LOG_HEIGHT]
+        still = np.abs((found - _vector(camera)) / _PRIOR).max() < _STILL
         camera = OverheadCamera(float(found[0]), float(found[1]), float(np.exp(found[2])))
-        if np.abs(moved).max() < _STILL:
+        if still:
             break
-    return camera
+    at(camera)
+    return _best(seen)
+
+
+def _best(seen: list[tuple[float, OverheadCamera]]) -> OverheadCamera:
+    return min(seen, key=lambda one: one[0])[1]
 
 
 def _vector(camera: OverheadCamera) -> np.ndarray:
