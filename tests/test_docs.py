@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import re
 import shlex
 import shutil
@@ -47,6 +48,29 @@ def test_every_command_and_option_exists(page):
             context = click.Context(command, parent=context, info_name=name)
         with contextlib.suppress(click.BadOptionUsage):  # an option named without its value
             command.make_parser(context).parse_args(list(words))
+
+
+LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda p: p.name)
+def test_every_file_that_is_linked_is_there(page):
+    links = [link for link in LINK.findall(page.read_text()) if "://" not in link]
+    assert not [link for link in links if not (page.parent / link).exists()]
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")  # for plug-ins
+def test_site_has_no_warnings(tmp_path):
+    """All pages and docstrings are read and their links followed, as by `make docs`; none is
+    written, which takes three times as long."""
+    application = pytest.importorskip("sphinx.application")
+    from sphinx.util.docutils import docutils_namespace, patch_docutils
+
+    said = io.StringIO()
+    with patch_docutils(), docutils_namespace():
+        where = (ROOT / "docs", ROOT / "docs", tmp_path, tmp_path / "trees")
+        application.Sphinx(*where, "dummy", status=None, warning=said).build(force_all=True)
+    assert not said.getvalue()
 
 
 # Python of own-measurements.md is run with tables by test_own_tables.py.
