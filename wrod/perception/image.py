@@ -130,10 +130,8 @@ def as_image(image: np.ndarray, name: str = "the picture") -> np.ndarray:
 def is_mask(image: np.ndarray) -> bool:
     """Whether a (H, W) array holds two values only, so that it already is a mask: the bright one on
     less than half, for more is paper under ink."""
-    if image.dtype == bool:
+    if image.dtype == bool or image.ndim != 2:
         return image.ndim == 2
-    if image.ndim != 2:
-        return False
     low, high = image.min(), image.max()
     bright, dark = (np.count_nonzero(image == value) for value in (high, low))
     return bool(low == high or (bright + dark == image.size and 2 * bright <= image.size))
