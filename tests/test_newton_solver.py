@@ -681,3 +681,70 @@ def test_rods_that_were_changed_behind_the_builder_are_named():
     del state.der.edge_director
     with pytest.raises(RodError, match="does not hold this model's rods"):
         solver.step(state, state, None, None, 1e-3)
+
+
+POST, THIN, STRAIGHT = 0.05, 0.002, 0.12  # radii of a post and of a rope over it, its ends [m]
+HUNG, LINE_MASS = 0.2, 0.004  # what hangs at the rope [kg], and the rope [kg/m]
+
+
+def rope_over_post(friction, edge=0.004, **options):
+    """(solver, model, state) of a rope that hangs half a turn around a post made of three edges,
+    first with a mass at its end, last held by a hand."""
+    builder = scene()
+    stiff = dict(bending_stiffness=1e3, twisting_stiffness=1e3, stretching_stiffness=1e6)
+    post = RodModel(length=0.1, line_mass=1.0, radius=POST, **stiff)
+    axis = straight(4, 0.1, axis=1, shift=(0.0, -0.05, 0.0))
+    SolverDER.add_rod(builder, axis, post, start="clamped", end="clamped")
+    reach = POST + THIN
+    turn = np.pi * reach
+    s = np.linspace(0.0, 2 * STRAIGHT + turn, round((2 * STRAIGHT + turn) / edge) + 1)
+    angle = np.pi - np.clip((s - STRAIGHT) / reach, 0.0, np.pi)
+    points = reach * np.stack([np.cos(angle), 0.0 * s, np.sin(angle)], axis=1)
+    points[:, 2] -= np.maximum(STRAIGHT - s, 0.0) + np.maximum(s - STRAIGHT - turn, 0.0)
+    soft = dict(bending_stiffness=2e-6, twisting_stiffness=1.5e-6, stretching_stiffness=4e3)
+    rope = RodModel(
+        length=1.0, line_mass=LINE_MASS, radius=THIN, point_masses=((0.0, HUNG),), **soft
+    )
+    hand = builder.add_link(
+        xform=wp.transform(wp.vec3(*points[-1]), wp.quat_identity()), is_kinematic=True
+    )
+    damping = dict(air_damping=2.0, internal_damping=0.02)
+    SolverDER.add_rod(builder, points, rope, end="pinned", end_body=hand, **damping)
+    model = builder.finalize(device=DEVICE)
+    return SolverDER(model, rod_contact=friction, **options), model, hand, points[-1]
+
+
+@pytest.mark.parametrize("friction", [0.25, 0.5])
+def test_rope_over_a_post_made_of_rods(friction):
+    """It rubs with its inner side, which goes by R / (R + r) slower than its middle, so that power
+    balances for tensions in the ratio exp(mu pi R / (R + r)); the pull does not tremble."""
+    solver, model, hand, place_of_hand = rope_over_post(friction)
+    state, dt, pulls = model.state(), 1 / 240, []
+    z = place_of_hand[2]
+    for k in range(360):
+        z -= 0.02 * dt * min(1.0, k * dt / 0.3)
+        place(model, state, hand, (place_of_hand[0], 0.0, z))
+        solver.step(state, state, None, None, dt)
+        if k >= 288:
+            pulls.append(np.linalg.norm(solver.body_wrenches()[hand, :3]))
+    assert np.std(pulls) < 0.02 * np.mean(pulls)
+    q = state.der.node_q.numpy()
+    light = LINE_MASS * 9.81
+    tension = HUNG * 9.81 - light * q[4, 2], np.mean(pulls) + light * z
+    exact = np.exp(friction * np.pi * POST / (POST + THIN))
+    assert tension[1] / tension[0] == pytest.approx(exact, rel=0.02)
+
+
+def test_as_many_edges_as_a_turn_has_touch_a_post():
+    solver, model, _, _ = rope_over_post(0.25, edge=0.002)
+    state = model.state()
+    solver.step(state, state, None, None, 1 / 240)
+    assert not solver.diverged.any()
+
+
+def test_smooth_rods_that_wind_around_each_other_are_told():
+    solver, model, _, _ = rope_over_post(0.25, smooth_rods=True)
+    state = model.state()
+    with pytest.warns(WrodWarning, match="smooth_rods=False where they wind around each other"):
+        for _ in range(2):
+            solver.step(state, state, None, None, 1 / 240)

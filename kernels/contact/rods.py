@@ -10,7 +10,8 @@ conserve momentum and angular momentum. The bristle is kept in the frame of the 
 normal. N is held while Newton iterates, as in Li et al. 2020, so that the matrix of a step is
 symmetric and exact but for the turning of the pair; in balance it is compared with what the pairs
 press then, and taken anew where a bristle slides, or would, and they differ. A step ends with
-friction within a twentieth of mu times the load at its end.
+friction within a twentieth of mu times the load at its end; on a post (`load_on_post`) loads are
+followed over steps.
 """
 
 import warp as wp
@@ -27,7 +28,7 @@ from wrod.kernels.contact.pair_contact import (
     relative_motion,
 )
 from wrod.kernels.contact.segments import Nearest, piece_size
-from wrod.kernels.elastic.frames import ONE, ZERO, node
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
 
 # A load is out of date when it differs by more than this part; how often a step takes them anew.
 # Where loads are settled, also by a part of what the residual may be.
@@ -36,6 +37,11 @@ MOST_RENEWALS = wp.constant(2)
 SETTLED = wp.constant(wp.float64(1.0e-10))
 NOTHING = wp.constant(wp.float64(0.01))
 MOST_TO_SETTLE = wp.constant(40)
+# A rod so many times as thick as another is a post to it, over which its loads are spread.
+POST = wp.constant(wp.float64(2.0))
+# Part of the way that loads go on a post at once, and by how much they fall at most.
+GENTLY = wp.constant(wp.float64(0.25))
+LEAST_LEFT = wp.constant(wp.float64(0.1))
 # Residual over the tolerance from which on loads are taken anew: to come nearer to balance under
 # the old ones is in vain. Ten times less costs knots that are pulled a sixth more iterations, ten
 # times more a tenth.
@@ -99,6 +105,48 @@ def add_pair_force(
     add_edge_force(gradient, kind, r, j, -push, turn * c.near.second_turn, move, -pull)
 
 
+@wp.func
+def is_on_post(m: Pieces, r: int, i: int, j: int) -> bool:
+    thick = wp.max(m.radius[r, i], m.radius[r, j])
+    return thick > POST * wp.min(m.radius[r, i], m.radius[r, j])
+
+
+@wp.func
+def load_on_post(
+    partner_count: wp.array2d(dtype=wp.int32),
+    partner: wp.array3d(dtype=wp.int32),
+    excess: wp.array3d(dtype=wp.float64),
+    force: wp.float64,
+    load: wp.float64,
+    r: int,
+    i: int,
+    k: int,
+) -> wp.float64:
+    """The load that bounds what slides on a post from now on, where it presses by `force`.
+
+    Pulled at its surface, an edge leans on its end, and its neighbour is relieved: loads that were
+    taken as they come would swing from edge to edge without end, and friction with them, which
+    pulls by its greater half. So what they are off by, `excess`, is averaged with that of the pairs
+    beside, and the way is gone in part. Where it leads to is the same.
+    """
+    j = partner[r, i, k]
+    sum = wp.float64(0.0)
+    beside = wp.float64(0.0)
+    for o in range(wp.max(k - 1, 0), wp.min(k + 2, partner_count[r, i])):
+        if wp.abs(partner[r, i, o] - j) == 1 and excess[r, i, o] != ZERO:
+            sum += excess[r, i, o]
+            beside += ONE
+    for e in range(wp.max(i - 1, 0), wp.min(i + 2, partner_count.shape[1])):
+        if e != i:
+            for o in range(partner_count[r, e]):
+                if partner[r, e, o] == j and excess[r, e, o] != ZERO:
+                    sum += excess[r, e, o]
+                    beside += ONE
+    own = excess[r, i, k]
+    change = HALF * GENTLY * (own + wp.where(beside > ZERO, sum / wp.max(beside, ONE), own))
+    return wp.max(load + change, LEAST_LEFT * wp.min(force, load))
+
+
 @wp.kernel
 def rod_contact(
     # Model:
@@ -118,6 +166,7 @@ def rod_contact(
     gradient: wp.array2d(dtype=wp.float64),
     # State out:
     depth_out: wp.array3d(dtype=wp.float64),
+    excess_out: wp.array3d(dtype=wp.float64),
     renewed_out: wp.array(dtype=wp.int32),
 ):
     """Subtract the forces of every touching pair from the residual, and note how deep it is.
@@ -137,6 +186,7 @@ def rod_contact(
         if load > ZERO:
             depth = wp.max(depth, TINY)  # it rubs
         depth_out[r, i, k] = depth
+        excess_out[r, i, k] = wp.where(load > ZERO, c.force - load, ZERO)
         if c.force > ZERO or load > ZERO:
             if load > ZERO:
                 note_stretch(rubbing, c, begins, r, i, k)
@@ -211,6 +261,7 @@ def renew_loads(
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
     depth: wp.array3d(dtype=wp.float64),
+    excess: wp.array3d(dtype=wp.float64),
     slots: int,
     # State in and out:
     rubbing: Rubbing,
@@ -248,7 +299,12 @@ def renew_loads(
             mu = wp.where(slides, m.law[r].kinetic_friction, m.law[r].static_friction)
             wanted = m.law[r].tangential * wp.length(c.stretched)
             if mu > ZERO and wanted > mu * wp.min(c.force, old):
-                rubbing.load[r, i, k] = c.force
+                next = wp.float64(c.force)
+                if settles == 0 and c.force > ZERO and is_on_post(m, r, i, j):
+                    next = load_on_post(partner_count, partner, excess, c.force, old, r, i, k)
+                    if wp.abs(next - old) <= stale:
+                        continue
+                rubbing.load[r, i, k] = next
                 wp.atomic_max(renewed_out, r, 1)
                 pull = -c.pull
                 c = pair_contact(m, rubbing, step[r], dof, dof_before, False, r, i, j, k)
@@ -279,6 +335,7 @@ def settle_friction(
     dof_before: wp.array2d(dtype=wp.float64),
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
+    excess: wp.array3d(dtype=wp.float64),
     slots: int,
     # State in and out:
     rubbing: Rubbing,
@@ -295,7 +352,11 @@ def settle_friction(
         j = partner[r, i, k]
         c = pair_contact(m, rubbing, step[r], dof, dof_before, False, r, i, j, k)
         rubbing.bristle[r, i, k] = wp.where(c.force > ZERO, ONE, ZERO) * c.bristle
-        load[r, i, k] = c.force
+        old = rubbing.load[r, i, k]
+        next = wp.float64(c.force)
+        if c.force > ZERO and c.slid > ZERO and old > ZERO and is_on_post(m, r, i, j):
+            next = load_on_post(partner_count, partner, excess, c.force, old, r, i, k)
+        load[r, i, k] = next
         rubbing.sliding[r, i, k] = 0
         if c.force > ZERO:
             if c.slid > ZERO:

@@ -176,22 +176,31 @@ class RodGroup:
             skin=_PAIR_SKIN,
             hardening=_PAIR_HARDENING,
             way=_WAY,
-            partners=_PARTNERS,
+            partners=self._partners(np.where(touches, radius, np.nan)),
             passive=passive,
             smooth=smooth,
         )
         contact.settles_loads = self.model.requires_grad
         return contact
 
+    def _partners(self, radius: np.ndarray) -> int:
+        """How many edges one may be near to: of a post, those of a turn of what is thin, and more.
+        `radius` (row, edge) is NaN where nothing is touched."""
+        thick, thin = np.nanmax(radius), np.nanmin(radius)
+        if thick < 2.0 * thin:
+            return _PARTNERS
+        shortest = self.batch.rest_length.numpy()[np.isfinite(radius)].min()
+        turn = 2.5 * np.pi * (thick + thin) / shortest
+        return int(np.clip(turn, _PARTNERS, max(_PARTNERS, radius.shape[1])))
+
     def _pair_stiffness(self, radius: np.ndarray) -> np.ndarray:
-        """(row,) of pairs of edges, that of the stiffest or heaviest edge; notes how it follows
-        what rods are made of."""
+        """(row,) of pairs of edges, that of `Layout.stiffest_edges`; notes how it follows what rods
+        are made of."""
         batch, layout = self.batch, self.layout
         length, pull = batch.rest_length.numpy(), batch.stretching_stiffness.numpy()
         weight = _PAIR_WEIGHTS * _STANDARD_GRAVITY * length * layout.line_density()[:, :-1]
         found = np.maximum(_PAIR_STIFFNESS * pull, weight) / radius
-        row = np.arange(len(found))
-        most = row, found.argmax(axis=1)
+        most = np.arange(len(found)), layout.stiffest_edges(found, radius)
         heavy = (weight > _PAIR_STIFFNESS * pull)[most][:, None]
         one = np.zeros_like(found)
         one[most] = 1.0

@@ -97,9 +97,12 @@ class Layout:
 
     def line_density(self) -> np.ndarray:
         """(row, node) mass per length of the rod of each node [kg/m]."""
+        return self.rod_mass() / self.rod_length()
+
+    def rod_length(self) -> np.ndarray:
+        """(row, node) rest length of the rod of each node [m]."""
         der = self.model.der
-        length = self._sums(der.edge_rest_length.numpy(), der.rod_first_edge.numpy())
-        return self.rod_mass() / length
+        return self._sums(der.edge_rest_length.numpy(), der.rod_first_edge.numpy())
 
     def _sums(self, values: np.ndarray, first: np.ndarray) -> np.ndarray:
         """(row, node) sum of values over the rod of each node; rods lie one after the other."""
@@ -107,6 +110,21 @@ class Layout:
         total = np.empty(len(first))
         total[order] = np.add.reduceat(values, first[order])
         return total[self.rod]
+
+    def stiffest_edges(self, stiffness: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """(row,) the edge by whose `stiffness` (row, edge) the rods of a row press each other: that
+        of the stiffest rod that may meet one as stiff, such as itself, if that is longer than half
+        a turn around its section."""
+        length = self.rod_length()
+        own = self.places["owns"][:, :-1] != 0
+        out = np.empty(len(stiffness), dtype=int)
+        for r, values in enumerate(stiffness):
+            order = np.flatnonzero(own[r])[np.argsort(-values[own[r]], kind="stable")]
+            first = order[0]
+            others = order[self.rod[r, order] != self.rod[r, first]]
+            alone = length[r, first] < np.pi * radius[r, first]
+            out[r] = others[0] if alone and len(others) else first
+        return out
 
     def near_clamps(self, holds: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """(row, edge) edges inside clamps, and those of rods that a body holds together with others

@@ -226,7 +226,7 @@ class RodContact(OnDevice):
             self._slots,
             [self.pieces, self.reach, self.time_step, active, dof, dof_before]
             + [self.partner_count, self.partner, self.rubbing, self.velocity, self._slots[2]],
-            [self.batch.derivatives.gradient, self.depth, self._renewed],
+            [self.batch.derivatives.gradient, self.depth, self._new_load, self._renewed],
         )
 
     def restart(self, chosen: wp.array) -> None:
@@ -246,7 +246,7 @@ class RodContact(OnDevice):
             [self.pieces, self.reach, int(self.settles_loads)]
             + [self.time_step, converged, active, *self.balance]
             + [self._renewals, dof, dof_before, self.velocity]
-            + [self.partner_count, self.partner, self.depth, self._slots[2]],
+            + [self.partner_count, self.partner, self.depth, self._new_load, self._slots[2]],
             [self.rubbing, self.batch.derivatives.gradient, self._renewed],
         )
         self.batch.launch_lanes(
@@ -288,7 +288,7 @@ class RodContact(OnDevice):
             kernels.settle_friction,
             self._slots,
             [self.pieces, self.time_step, accepted, dof, dof_before]
-            + [self.partner_count, self.partner, self._slots[2]],
+            + [self.partner_count, self.partner, self._new_load, self._slots[2]],
             [self.rubbing, self.load, self.slip, self.force, self.penetration],
         )
 
@@ -324,7 +324,7 @@ class RodContact(OnDevice):
         if full.size:
             raise RodError(
                 f"the rods of row {full[0]} touch in more places than there is room for; "
-                f"give RodContact more than {self.partner.shape[2]} partners or use longer edges"
+                f"use longer edges, or give RodContact more than {self.partner.shape[2]} partners"
             )
 
 
