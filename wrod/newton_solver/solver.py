@@ -348,10 +348,11 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
             new += group.rows[cut & ~self._mourned[group.rows]].tolist()
             self._mourned[group.rows] = cut
         if new:
-            smooth = ", and smooth_rods=False where they wind around each other"
+            wound = ", and smooth_rods=False where they wind around each other"
+            smooth = wound if self._rod_options["smooth"] else ""
             warnings.warn(
                 f"rods cut out because no time step converged: {', '.join(map(str, new))}; the "
-                f"others go on. Take a shorter dt{smooth * self._rod_options['smooth']}, or "
+                f"others go on. Take a shorter dt{smooth}, or "
                 "reset(state) them; states and poses of what holds them must be finite",
                 WrodWarning,
                 stacklevel=3,
