@@ -214,3 +214,18 @@ def test_a_clamp_has_the_direction_at_its_node(side):
 def test_points_in_millimetres_are_asked_after():
     with pytest.warns(WrodWarning, match="200 m in length.*millimetres"):
         SolverDER.add_rod(scene(), 2e3 * LINE, ROD)
+
+
+def test_what_holds_nothing_is_refused():
+    """A body without a way to hold, and a capsule, which goes with its rod; the sentence names the
+    class that was asked."""
+    builder = scene()
+    hand = builder.add_body(is_kinematic=True)
+    points = np.linspace([0.0, 0.0, 0.0], [0.1, 0.0, 0.0], 6)
+    with pytest.raises(RodError, match="start_body is 0, and start is 'free'; give start='clamped"):
+        SolverDER.add_rod(builder, points, ROD, start_body=hand)
+    rod = SolverDER.add_rod(builder, points, ROD)
+    with pytest.raises(RodError, match="body is 3, which shows rod 0 and goes with it"):
+        SolverDER.attach(builder, rod, hand + 3, node=2)
+    with pytest.raises(RodError, match=r"^SolverDER\.add_rod: material is"):
+        SolverDER.add_rod(builder, points, "green-vps")

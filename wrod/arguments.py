@@ -96,8 +96,9 @@ def wrong(check: Check, value: Any) -> str | None:
 def _name(function: Callable, args: tuple) -> str:
     """Of a method that was inherited, the class that was asked."""
     owner, _, name = function.__qualname__.rpartition(".")
-    if args and owner in [kind.__name__ for kind in type(args[0]).__mro__]:
-        owner = type(args[0]).__name__
+    asked = args[0] if args and isinstance(args[0], type) else type(args[0]) if args else object
+    if owner in [kind.__name__ for kind in asked.__mro__]:
+        owner = asked.__name__
     return owner if name == "__init__" else f"{owner}.{name}" if owner else name
 
 

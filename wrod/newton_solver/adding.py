@@ -41,7 +41,7 @@ class RodBuilding:
         """
         attributes.register(builder)
 
-    @staticmethod
+    @classmethod
     @arguments.checked(
         RodError,
         points=arguments.array((None, 3)),
@@ -58,6 +58,7 @@ class RodBuilding:
         color=arguments.optional(_COLOR),
     )
     def add_rod(
+        cls,
         builder: newton.ModelBuilder,
         points: np.ndarray,
         material: RodModel | RodMaterial,
@@ -126,9 +127,10 @@ class RodBuilding:
         damping, look = (air_damping, internal_damping), (visible, color, label)
         return attributes.add_rod(builder, rod, held, damping, touches_rods, look)
 
-    @staticmethod
+    @classmethod
     @arguments.checked(RodError, density=arguments.number(0.0, 1e6), **_DESCRIBED)
     def add_newton_rod(
+        cls,
         builder: newton.ModelBuilder,
         rod: newton.Rod,
         *,
@@ -171,14 +173,15 @@ class RodBuilding:
             stretch_stiffness=stretch_stiffness, bend_stiffness=bend_stiffness,
             twist_stiffness=twist_stiffness, bend_damping=bend_damping,
         )  # fmt: skip
-        added = add_described(builder, rod, density, joints, RodBuilding.add_rod, **options)
+        added = add_described(builder, rod, density, joints, cls.add_rod, **options)
         return [index for index, _ in added]
 
-    @staticmethod
+    @classmethod
     @arguments.checked(
         RodError, cfg=arguments.optional(arguments.like("a ShapeConfig", "density")), **_DESCRIBED
     )
     def add_cable(
+        cls,
         builder: newton.ModelBuilder,
         *,
         rod: newton.Rod,
@@ -216,14 +219,14 @@ class RodBuilding:
             stretch_stiffness=stretch_stiffness, bend_stiffness=bend_stiffness,
             twist_stiffness=twist_stiffness, bend_damping=bend_damping,
         )  # fmt: skip
-        return add_cable(builder, rod, cfg, joints, options, RodBuilding.add_rod)
+        return add_cable(builder, rod, cfg, joints, options, cls.add_rod)
 
-    @staticmethod
+    @classmethod
     @arguments.checked(
         RodError,
         source=arguments.either(arguments.path, arguments.like("a Usd.Stage", "Traverse")),
     )
-    def add_usd(builder: newton.ModelBuilder, source, **options) -> dict[str, list[int]]:
+    def add_usd(cls, builder: newton.ModelBuilder, source, **options) -> dict[str, list[int]]:
         """Add the cables of a USD stage: linear `BasisCurves` with PhysicsCurvesDeformableSimAPI,
         each with its own physics material, as Newton's importer reads them.
 
@@ -240,11 +243,11 @@ class RodBuilding:
             RodError: There is no such file, a curve is not linear or a ring, or its material lacks
                 a stiffness or density.
         """
-        return add_curves(builder, source, RodBuilding.add_rod, **options)
+        return add_curves(builder, source, cls.add_rod, **options)
 
-    @staticmethod
+    @classmethod
     @arguments.checked(RodError)
-    def write_usd(model: newton.Model, state: newton.State, path: str | os.PathLike[str]):
+    def write_usd(cls, model: newton.Model, state: newton.State, path: str | os.PathLike[str]):
         """Write all rods as they are in `state` to a USD file that `add_usd` reads, and Newton's
         own importer; what another body than the world holds is free there.
 
@@ -254,7 +257,7 @@ class RodBuilding:
         """
         return write_curves(model, state, Path(path))
 
-    @staticmethod
+    @classmethod
     @arguments.checked(
         RodError,
         rod=arguments.whole(0),
@@ -262,7 +265,7 @@ class RodBuilding:
         node=arguments.whole(0),
     )
     def attach(
-        builder: newton.ModelBuilder, rod: int, body: int, *, node: int, kind: str = "clamped"
+        cls, builder: newton.ModelBuilder, rod: int, body: int, *, node: int, kind: str = "clamped"
     ) -> None:
         """Let a body hold a rod somewhere along it, as the rod lies to the body now.
 

@@ -134,10 +134,10 @@ def add_rod(
     for name, (kind, body) in zip(("start", "end"), held, strict=True):
         if kind not in HOLDS:
             raise RodError(f"{name} is {kind!r}; use one of {', '.join(HOLDS)}")
-        if not -1 <= body < builder.body_count:
+        _refuse_body(builder, f"{name}_body", body)
+        if kind == "free" and body != -1:
             raise RodError(
-                f"{name}_body is {body}; give a body of the builder (it has "
-                f"{builder.body_count}), or -1 for the world"
+                f"{name}_body is {body}, and {name} is 'free'; give {name}='clamped' or 'pinned'"
             )
     model, (visible, color, label) = rod.model, look
     own = (model.air_damping, model.internal_damping or 0.0)
@@ -173,6 +173,21 @@ def add_rod(
         }
     )
     return added["der:rod_node_count"]
+
+
+def _refuse_body(builder: ModelBuilder, name: str, body: int) -> None:
+    """Refuse to be held by what is no body, or goes with a rod."""
+    if not -1 <= body < builder.body_count:
+        raise RodError(
+            f"{name} is {body}; give a body of the builder (it has {builder.body_count}), or -1 "
+            "for the world"
+        )
+    for rod in range(builder._custom_frequency_counts.get(ROD, 0) if body >= 0 else 0):
+        shown = builder.custom_attributes["der:rod_visible"].values[rod]
+        if shown and body in capsules(builder, rod):
+            raise RodError(
+                f"{name} is {body}, which shows rod {rod} and goes with it; give another"
+            )
 
 
 def _add_nodes(builder: ModelBuilder, rod: MeshedRod) -> None:
@@ -213,11 +228,7 @@ def attach(builder: ModelBuilder, rod: int, body: int, node: int, kind: str) -> 
         raise RodError(f"kind is {kind!r}; use pinned or clamped")
     if whole(0, last)(node):
         raise RodError(f"node is {node!r}; rod {rod} has nodes 0 to {last} that can be {kind}")
-    if not -1 <= body < builder.body_count:
-        raise RodError(
-            f"body is {body}; give a body of the builder (it has {builder.body_count}), or -1 for "
-            "the world"
-        )
+    _refuse_body(builder, "body", body)
     held = _held_nodes(builder, rod)
     new = {node} if kind == "pinned" else {node, node + 1}
     if held & new:
