@@ -278,8 +278,28 @@ def banded_entry(hessian: wp.array3d(dtype=wp.float64), r: int, a: int, b: int) 
     return hessian[r, wp.max(a, b), k]
 
 
+@wp.func_native("""
+    const double* band = (const double*)((const char*)hessian.data + r * hessian.strides[0]);
+    const double* own = &wp::index(vector, r, j, 0) + a;
+    const double* row = band + (size_t)a * 11;
+    const int n = hessian.shape[1], before = a < 10 ? a : 10, after = n - 1 - a;
+    double value = 0.0;
+    for (int k = before; k > 0; --k) value += row[k] * own[-k];
+    for (int k = 0; k <= (after < 10 ? after : 10); ++k) value += row[12 * k] * own[k];
+    return value;
+""")
+def row_times(
+    hessian: wp.array3d(dtype=wp.float64),
+    vector: wp.array3d(dtype=wp.float64),
+    r: int,
+    j: int,
+    a: int,
+) -> wp.float64: ...
+
+
 @wp.kernel
 def multiply(
+    stride: int,
     # In:
     active: wp.array(dtype=wp.int32),
     hessian: wp.array3d(dtype=wp.float64),
@@ -287,16 +307,13 @@ def multiply(
     # Out:
     product_out: wp.array3d(dtype=wp.float64),
 ):
-    """Product of the whole banded matrix with every vector [rod, j, :]."""
-    r, j, a = wp.tid()
+    """Product of the whole banded matrix with every vector [rod, j, :]. Launched over (rod, vector,
+    thread), each for every `stride`th row."""
+    r, j, first = wp.tid()
     if active[r] == 0:
         return
-    value = wp.float64(0.0)
-    for b in range(wp.max(0, a - HALF_BANDWIDTH), a):
-        value += hessian[r, a, a - b] * vector[r, j, b]
-    for b in range(a, wp.min(hessian.shape[1], a + HALF_BANDWIDTH + 1)):
-        value += hessian[r, b, b - a] * vector[r, j, b]
-    product_out[r, j, a] = value
+    for a in range(first, hessian.shape[1], stride):
+        product_out[r, j, a] = row_times(hessian, vector, r, j, a)
 
 
 @wp.kernel

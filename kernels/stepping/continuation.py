@@ -6,6 +6,7 @@ from wrod.kernels.elastic.frames import node, put_node
 
 @wp.kernel
 def copy_configuration(
+    stride: int,
     # In:
     chosen: wp.array(dtype=wp.int32),
     dof_in: wp.array2d(dtype=wp.float64),
@@ -18,16 +19,18 @@ def copy_configuration(
     director_out: wp.array2d(dtype=wp.vec3d),
     twist_out: wp.array2d(dtype=wp.float64),
 ):
-    """Copy the whole configuration of every chosen rod."""
-    r, i = wp.tid()
+    """Copy the whole configuration of every chosen rod. Launched over (rod, thread), each for every
+    `stride`th node."""
+    r, first = wp.tid()
     if chosen[r] == 0:
         return
-    put_node(dof_out, r, i, node(dof_in, r, i))
-    twist_out[r, i] = twist_in[r, i]
-    if i < tangent_in.shape[1]:
-        dof_out[r, 4 * i + 3] = dof_in[r, 4 * i + 3]
-        tangent_out[r, i] = tangent_in[r, i]
-        director_out[r, i] = director_in[r, i]
+    for i in range(first, twist_in.shape[1], stride):
+        put_node(dof_out, r, i, node(dof_in, r, i))
+        twist_out[r, i] = twist_in[r, i]
+        if i < tangent_in.shape[1]:
+            dof_out[r, 4 * i + 3] = dof_in[r, 4 * i + 3]
+            tangent_out[r, i] = tangent_in[r, i]
+            director_out[r, i] = director_in[r, i]
 
 
 @wp.kernel

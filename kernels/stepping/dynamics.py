@@ -51,6 +51,7 @@ def difference(coefficient: wp.vec3d, dt: wp.float64, now: Any, before: Any, old
 
 @wp.kernel
 def add_inertia(
+    stride: int,
     # Model:
     mass: wp.array2d(dtype=wp.float64),
     air_damping: wp.array(dtype=wp.float64),
@@ -61,18 +62,20 @@ def add_inertia(
     hessian: wp.array3d(dtype=wp.float64),
 ):
     """Turn gradient and Hessian of the potential energy into residual and matrix of a step: add
-    inertia and the air's drag c m v."""
-    r, a = wp.tid()
+    inertia and the air's drag c m v. Launched over (rod, thread), each for every `stride`th number.
+    """
+    r, first = wp.tid()
     if step.active[r] == 0:
         return
     dt = step.span[r]
     c = step.coefficient[r]
-    m = mass[r, a]
-    v = difference(c, dt, step.dof[r, a], step.dof_before[r, a], step.dof_older[r, a])
-    acceleration = difference(c, dt, v, step.velocity[r, a], step.velocity_older[r, a])
-    gradient[r, a] = gradient[r, a] + m * (acceleration + air_damping[r] * v)
     rate = c[0] / dt
-    hessian[r, a, 0] = hessian[r, a, 0] + m * rate * (rate + air_damping[r])
+    for a in range(first, mass.shape[1], stride):
+        m = mass[r, a]
+        v = difference(c, dt, step.dof[r, a], step.dof_before[r, a], step.dof_older[r, a])
+        acceleration = difference(c, dt, v, step.velocity[r, a], step.velocity_older[r, a])
+        gradient[r, a] = gradient[r, a] + m * (acceleration + air_damping[r] * v)
+        hessian[r, a, 0] = hessian[r, a, 0] + m * rate * (rate + air_damping[r])
 
 
 @wp.kernel

@@ -196,6 +196,7 @@ def start_line_search(
 
 @wp.kernel
 def take_trial_step(
+    stride: int,
     # State in:
     searching: wp.array(dtype=wp.int32),
     dof_in: wp.array2d(dtype=wp.float64),
@@ -204,9 +205,11 @@ def take_trial_step(
     # State out:
     dof_out: wp.array2d(dtype=wp.float64),
 ):
-    r, a = wp.tid()
+    """Go a fraction of the step. Launched over (rod, thread), each for every `stride`th number."""
+    r, first = wp.tid()
     if searching[r] != 0:
-        dof_out[r, a] = dof_in[r, a] + fraction[r] * step[r, 0, a]
+        for a in range(first, dof_in.shape[1], stride):
+            dof_out[r, a] = dof_in[r, a] + fraction[r] * step[r, 0, a]
 
 
 @wp.kernel

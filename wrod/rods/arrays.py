@@ -18,6 +18,7 @@ from wrod.kernels.elastic.frames import (
 )
 from wrod.kernels.elastic.inelastic import Inelastic, inelastic_energy, set_inelastic_laws
 from wrod.kernels.elastic.model import ElasticModel
+from wrod.kernels.lanes import lanes
 from wrod.rods.device import OnDevice
 from wrod.rods.state import RodState
 
@@ -285,6 +286,14 @@ class BatchArrays(OnDevice):
     ) -> None:
         """Launch a kernel on the batch's device, there so many threads a block."""
         wp.launch(kernel, dim, inputs, outputs, device=self.device, block_dim=block)
+
+    def launch_spread(
+        self, kernel: wp.Kernel, items: int, inputs: list, outputs: Sequence = ()
+    ) -> None:
+        """Launch a kernel over (rod, thread), of which each takes every so manieth of a rod's items
+        as its first input says: all on a CPU, where to begin another takes longer than its work."""
+        count = lanes(self.device, items)
+        self.launch(kernel, (self.rod_count, count), [count, *inputs], outputs)
 
     def launch_nodes(self, kernel: wp.Kernel, inputs: list, outputs: Sequence = ()) -> None:
         """Launch a kernel over (rod, node)."""

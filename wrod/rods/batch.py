@@ -195,8 +195,9 @@ class RodBatch(BatchArrays):
 
     def copy_states(self, chosen: wp.array, source: RodState, target: RodState) -> None:
         """The whole configuration of the chosen rods."""
-        self.launch_nodes(
+        self.launch_spread(
             copy_configuration,
+            self.node_count,
             [chosen, source.dof, source.tangent, source.director, source.reference_twist],
             [target.dof, target.tangent, target.director, target.reference_twist],
         )

@@ -11,6 +11,16 @@ from wrod.kernels.linear import banded, banded_ends, banded_lanes, factor_lanes,
 from wrod.rods.batch import RodBatch
 
 
+def multiply_banded(
+    batch: RodBatch, active: wp.array, hessian: wp.array, vectors: wp.array, product: wp.array
+) -> None:
+    """Products (rod, vector, row) of matrices (rod, row, 11) of a batch's rods with vectors."""
+    rods, columns, rows = vectors.shape
+    count = lanes(batch.device, rows)
+    inputs = [count, active, hessian, vectors]
+    batch.launch(banded.multiply, (rods, columns, count), inputs, [product])
+
+
 class BandedSystem:
     """Factorisation of the free block of a batch's Hessian, and solutions with it.
 

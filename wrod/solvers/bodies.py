@@ -3,12 +3,12 @@
 import numpy as np
 import warp as wp
 
-from wrod.kernels.linear.banded import multiply
 from wrod.kernels.stepping import bodies as kernels
 from wrod.kernels.stepping import body_exchange, body_shapes, body_system
 from wrod.rods.arrays import filled
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import RodState
+from wrod.solvers.banded import multiply_banded
 from wrod.solvers.steps import Steps
 
 
@@ -143,12 +143,7 @@ class Bodies:
             [self.hold, active, self.now, self.batch.state.dof],
             [self._motion],
         )
-        self.batch.launch(
-            multiply,
-            self._motion.shape,
-            [active, out.hessian, self._motion],
-            [self._column],
-        )
+        multiply_banded(self.batch, active, out.hessian, self._motion, self._column)
         if steps.rod_contact is not None:
             steps.system.multiply_pairs(active, self._motion, self._column)
         if self.touch is not None:

@@ -40,7 +40,8 @@ def add_inertia(dynamics, step: OneStep, out: Derivatives) -> None:
         out: what is added to.
     """
     batch, into = dynamics.batch, [out.gradient, out.hessian]
-    batch.launch_dofs(kernels.add_inertia, [dynamics.mass, dynamics.air_damping, step], into)
+    inputs = [dynamics.mass, dynamics.air_damping, step]
+    batch.launch_spread(kernels.add_inertia, batch.dof_count, inputs, into)
     if dynamics.edge_mass is not None:
         batch.launch_edges(kernels.add_edge_inertia, [dynamics.edge_mass, step], into)
     if dynamics.drag is not None:

@@ -280,8 +280,9 @@ class EquilibriumSolver:
     def _take(self, chosen: wp.array) -> None:
         """The trial state: a fraction of the step on."""
         batch, trial = self.batch, self.trial
-        batch.launch_dofs(
+        batch.launch_spread(
             newton.take_trial_step,
+            batch.dof_count,
             [chosen, batch.state.dof, self.system.x, self.fraction],
             [trial.dof],
         )

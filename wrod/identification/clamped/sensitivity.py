@@ -21,14 +21,14 @@ from wrod.identification.clamped.layout import (
 )
 from wrod.identification.clamped.sensing import END, Prediction, View
 from wrod.identification.clamped.setup import ClampedSetup
+from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.kernels.elastic.inelastic import inelastic_energy
-from wrod.kernels.linear import banded
 from wrod.kernels.stepping.motion_tangents import elastic_tangents
 from wrod.rods.arrays import never_bent, with_arrays
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import node_positions
-from wrod.solvers.banded import BandedSystem
+from wrod.solvers.banded import BandedSystem, multiply_banded
 from wrod.solvers.steps import unit_pace
 
 WIND_PASSES = 12
@@ -102,7 +102,7 @@ class Sensitivity:
                 break
         step += free_step
         # Of the reactions only those at the gripper are seen.
-        last = step.shape[2] - END - banded.HALF_BANDWIDTH
+        last = step.shape[2] - END - HALF_BANDWIDTH
         reaction_rate = self._times_hessian(step[:, :, last:], last)[:, :, -END:]
         reaction_rate += (gradient_rate - load_rate)[:, :, -END:]
         view = View(batch)
@@ -116,16 +116,9 @@ class Sensitivity:
         """Products of the Hessian of the degrees of freedom from `first` on."""
         batch = self.batch
         product = wp.zeros(vectors.shape, dtype=wp.float64, device=self.device)
-        batch.launch(
-            banded.multiply,
-            vectors.shape,
-            [
-                batch.every_rod,
-                batch.derivatives.hessian[:, first:],
-                wp.array(vectors, dtype=wp.float64, device=self.device),
-            ],
-            [product],
-        )
+        hessian = batch.derivatives.hessian[:, first:]
+        given = wp.array(vectors, dtype=wp.float64, device=self.device)
+        multiply_banded(batch, batch.every_rod, hessian, given, product)
         return product.numpy()
 
     def _gradient_rates(self, rates: Sequence[Sequence[ClampedSetup]]) -> np.ndarray:

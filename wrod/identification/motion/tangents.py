@@ -9,11 +9,10 @@ import warp as wp
 
 from wrod.identification.motion.start import first_nodes, held_ends, moves_ends
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
-from wrod.kernels.linear import banded
 from wrod.kernels.stepping import motion_tangents as kernels
 from wrod.kernels.stepping import observed_tangents, yield_tangents
 from wrod.rods.arrays import filled
-from wrod.solvers.banded import BandedSystem
+from wrod.solvers.banded import BandedSystem, multiply_banded
 from wrod.solvers.steps import unit_pace
 
 if TYPE_CHECKING:
@@ -206,10 +205,8 @@ class MotionTangents:
         value[:, :, ends] = step.numpy()[:, :, ends]
         self.step_held.assign(value)
         product = wp.zeros_like(self.x)
-        dim = (self.count, batch.dof_count)
-        batch.evaluate(order=2)
-        hessian = batch.derivatives.hessian
-        self._launch(banded.multiply, dim, [every, hessian, self.step_held], [product])
+        hessian = batch.evaluate(order=2).hessian
+        multiply_banded(batch, every, hessian, self.step_held, product)
         self.x.assign(-product.numpy())
         self._elastic(rest, strain, strain)
         self._solve(every)
