@@ -60,7 +60,8 @@ class EquilibriumSolver:
         rods, device = batch.rod_count, batch.device
         self.force_scale, self.length_scale = batch.zeros(), batch.zeros()
         self.system = BandedSystem(batch)
-        self.trial = RodState.zeros(rods, batch.node_count, device)
+        self.trial, self._start = (RodState.zeros(rods, batch.node_count, device) for _ in range(2))
+        self._begin = wp.zeros_like(batch.state.dof)
         self.trial_derivatives = Derivatives.zeros(rods, 1, device)
         self.trial_derivatives.gradient = wp.zeros_like(batch.derivatives.gradient)
 
@@ -117,9 +118,9 @@ class EquilibriumSolver:
         if self._launched != batch.launched:
             self._launched = batch.launched
             self._recorded.clear()
-        start = RodState.zeros(rods, batch.node_count, batch.device)
+        start, begin = self._start, self._begin
         start.assign(batch.state)
-        begin = wp.clone(batch.state.dof)
+        wp.copy(begin, batch.state.dof)
         target = begin
         if prescribed is not None:
             prescribed = np.broadcast_to(prescribed, (rods, batch.dof_count))
@@ -184,7 +185,7 @@ class EquilibriumSolver:
     def _iterate(self, max_iterations: int, search: bool) -> np.ndarray:
         """Newton on the active rods until each has converged or stopped; iterations per rod.
 
-        A CPU replays all rounds but the first, which compiles the kernels: most of the time would
+        A CPU replays what it has launched once, which compiles the kernels: most of the time would
         go into making launches."""
         self.converged.zero_()
         self.system.shift.zero_()
@@ -195,18 +196,21 @@ class EquilibriumSolver:
             self._correct(search)
             self._look(max_iterations)
 
+        def take_rounds() -> None:
+            self._look(max_iterations)
+            wp.capture_while(self._goes_on, take_round)
+
         key, device = (max_iterations, search), wp.get_device(self.batch.device)
         graph = self._recorded.get(key)
-        self._look(max_iterations)
-        if graph is None and device.is_cpu and self._goes_on.numpy()[0]:
-            take_round()
-            if self._goes_on.numpy()[0]:
-                graph = record(
-                    self.batch.device, lambda: wp.capture_while(self._goes_on, take_round)
-                )
-                self._recorded[key] = graph  # none beside threads that may launch
+        if graph is None and device.is_cpu:
+            self._look(max_iterations)
+            if not self._goes_on.numpy()[0]:
+                return self.iterations.numpy().astype(np.int64)
+            self._correct(search)
+            graph = record(self.batch.device, take_rounds)
+            self._recorded[key] = graph  # none beside threads that may launch
         if graph is None:
-            wp.capture_while(self._goes_on, take_round)
+            take_rounds()
         else:
             replay(graph)
         return self.iterations.numpy().astype(np.int64)

@@ -3,9 +3,11 @@
 The batch holds candidate x trial rods, laid out by `wrod.identification.clamped.layout`.
 """
 
+import operator
 from collections.abc import Sequence
 
 import numpy as np
+import warp as wp
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import DataError
@@ -66,6 +68,7 @@ class ClampedSolver:
             **arrays,
         )
         self._assign_sections(setups)
+        self._are = list(setups)
         prescribe(self.batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
         self.sensitivity = Sensitivity(self.batch, self.trial_count, self.edge_count)
         self._equilibria = EquilibriumSolver(self.batch)
@@ -298,6 +301,10 @@ class ClampedSolver:
         return dof
 
     def _assign(self, setups: Sequence[ClampedSetup]) -> None:
+        """Be rods of these models, which they may be already."""
+        if len(setups) == len(self._are) and all(map(operator.is_, setups, self._are)):
+            return
+        self._are = list(setups)
         arrays = batch_arrays(setups)
         self.batch.set_softening(arrays.pop("softening"))
         for name, value in arrays.items():
@@ -309,6 +316,7 @@ class ClampedSolver:
         """Laws of bending and couplings beyond what `batch_arrays` holds."""
         self.batch.set_layers([(np.real(k), np.real(c)) for k, c in law_layers(setups)])
         coupling = np.real(coupling_of(setups))
+        kept = dict(self.batch.energies)
         self.batch.energies.clear()
         if coupling.any():
             self.batch.add_energy(bend_twist_energy, coupling)
@@ -316,6 +324,10 @@ class ClampedSolver:
         if yielding[..., 1].any():
             # Nothing of a trial is remembered: each equilibrium is that of a rod never bent before.
             self.batch.add_energy(inelastic_energy, never_bent(self.batch, yielding))
+        for i, (kernel, number) in enumerate(self.batch.energies):
+            if kernel in kept:  # what is recorded goes on with it
+                wp.copy(kept[kernel], number)
+                self.batch.energies[i] = kernel, kept[kernel]
 
     # ---- what the sensors see ------------------------------------------------------------------
 
