@@ -101,7 +101,8 @@ def test_unwritable_output_is_one_sentence(tmp_path):
     assert result.exit_code == 2 and "cannot be written" in result.stderr
 
 
-def test_main_command_ends_in_joint_path_scene_and_picture(tmp_path):
+def test_main_command_ends_in_joint_path_scene_and_picture(tmp_path, monkeypatch):
+    monkeypatch.setattr("wrod.scene.render._MOMENT", (120, 90))  # a small scene.png
     arguments = ["plan", "letter-C", "--rod", "green-vps", "--no-expect", "--out", str(tmp_path)]
     arguments += ["--spacing", "0.005"]
     result = CliRunner().invoke(main, arguments)
