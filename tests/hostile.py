@@ -250,7 +250,7 @@ def foreign_files(folder) -> dict:
     if not bomb.exists():
         buffer = io.BytesIO()
         np.save(buffer, np.zeros(2**23))
-        with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as file:
+        with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
             for k in range(12):
                 file.writestr(f"a{k}.npy", buffer.getvalue())
     found["bomb"] = bomb
