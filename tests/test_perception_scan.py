@@ -64,10 +64,18 @@ def loop(n=4000):
     return np.column_stack([0.15 + 0.045 * (t**3 - t), 0.06 + 0.05 * t**2])
 
 
+_drawn: dict[tuple, np.ndarray] = {}
+
+
 def drawing(camera, layout, *curves, **options):
+    """Each picture is rendered once."""
     options = {"color": (30, 40, 120), "table": (120, 90, 60), "noise": 2.0} | options
-    flat = [np.column_stack([c, np.zeros(len(c))]) for c in curves]
-    return camera.render(flat, 0.0006, layout=layout, **options)
+    key = (camera.position, camera.target, camera.size, camera.focal_length, str(options))
+    key += (str(layout), *(np.asarray(c).tobytes() for c in curves))
+    if key not in _drawn:
+        flat = [np.column_stack([c, np.zeros(len(c))]) for c in curves]
+        _drawn[key] = camera.render(flat, 0.0006, layout=layout, **options)
+    return _drawn[key].copy()
 
 
 def mean_distance(points, truth):
