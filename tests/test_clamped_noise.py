@@ -70,6 +70,21 @@ def test_poses_that_scatter_are_found():
     assert found.scatter[4] == pytest.approx(1e-3, rel=0.35)
 
 
+@pytest.mark.parametrize("width", (0, None))
+def test_slopes_of_the_likelihood_are_limits_of_differences(width):
+    rng = np.random.default_rng(2)
+    own, scatter = columns(rng)
+    read, residual = np.ones((TRIALS, READINGS), dtype=bool), rng.normal(size=(TRIALS, READINGS))
+    likelihood = _Restricted(ARC, read, residual, own[..., :width], scatter)
+    along, sizes = (0.9, 0.4, 0.03), rng.uniform(0.1, 2.0, len(COLUMNS))
+    numeric = [
+        likelihood.value(*along, sizes * np.exp(h)) - likelihood.value(*along, sizes / np.exp(h))
+        for h in 1e-5 * np.eye(len(COLUMNS))
+    ]
+    slope = likelihood.slope(*along, sizes)
+    np.testing.assert_allclose(np.array(numeric) / 2e-5, slope, atol=1e-7 * np.abs(slope).max())
+
+
 def test_whitened_readings_are_independent():
     noise = NoiseModel(1.1, 0.8, 0.1, (0.0, 5e-4, 0.0, 0.0, 0.0, 0.01, 0.0))
     _, scatter = columns(np.random.default_rng(0))

@@ -186,15 +186,6 @@ def estimate(laboratory, model: Model, values: np.ndarray) -> tuple[NoiseModel, 
     return likelihood.best(), scatter / laboratory.deviation[..., None]
 
 
-def _least(value, first: np.ndarray, bounds: list[tuple[float, float]]) -> np.ndarray:
-    """Where a likelihood is best within bounds, after 30 steps at most."""
-    # SciPy's own differences refuse a place that rounding has put beyond a bound.
-    return minimize(
-        value, first, jac=lambda p: approx_fprime(p, value, 1e-8), method="L-BFGS-B",
-        bounds=bounds, options={"maxiter": 30},
-    ).x  # fmt: skip
-
-
 def scatter_errors(laboratory, model: Model, values: np.ndarray, noise: NoiseModel) -> np.ndarray:
     """Standard errors of the scatters that `estimate` has found beside a model [m] or [rad]."""
     return _likelihood(laboratory, model, values)[0].scatter_errors(noise)
@@ -252,33 +243,25 @@ class _Restricted:
         along = [(np.log(_SMALLEST), np.log(_LARGEST)), (0.0, 0.999), (np.log(0.3 * gap),
                  np.log(2.0 * self.span))]  # fmt: skip
         groups = [(np.log(_NO_SCATTER), np.log(30.0))] * len(SCATTER)
-        start_along = [[0.0, 0.8, np.log(5.0 * gap)]]
-        small = [np.log(0.3)] * len(SCATTER)
-        white = self.value(1.0, 0.0, gap, np.zeros(len(SCATTER)))
-        found = [(white, NoiseModel())]
-        for correlated in (False, True):
-            for scattered in (False, True):
-                if not correlated and not scattered:
-                    continue
-                starts = start_along if correlated else [[]]
-                bounds = along * correlated + groups * scattered
-                for start in starts:
-                    first = np.array(start + small * scattered)
-                    likeliest = _least(
-                        lambda p, c=correlated, s=scattered: self.value(*self._read(p, c, s)),
-                        first, bounds,
-                    )  # fmt: skip
-                    size, share, length, own = self._read(likeliest, correlated, scattered)
-                    # A scatter that does nothing is none.
-                    own = np.where(own > 20 * _NO_SCATTER, own, 0.0)
-                    own = self._needed((size, share, length), own)
-                    own = self._nearest((size, share, length), own)
-                    price = _PRICE * 3 * correlated + _PRICE_OF_SCATTER * (own > 0).sum()
-                    noise = NoiseModel(
-                        float(size), float(share), float(length if correlated else 0.0),
-                        tuple((own * _SCALES).tolist()),
-                    )  # fmt: skip
-                    found.append((self.value(size, share, length, own) + price, noise))
+        first, small = [0.0, 0.8, np.log(5.0 * gap)], [np.log(0.3)] * len(SCATTER)
+        found = [(self.value(1.0, 0.0, gap, np.zeros(len(SCATTER))), NoiseModel())]
+        for kinds in ((False, True), (True, False), (True, True)):
+            correlated, scattered = kinds
+            likeliest = self._least(
+                lambda p, k=kinds: self._read(p, *k), first * correlated + small * scattered,
+                along * correlated + groups * scattered, np.full(len(small), scattered),
+            )  # fmt: skip
+            size, share, length, own = self._read(likeliest, *kinds)
+            # A scatter that does nothing is none.
+            own = np.where(own > 20 * _NO_SCATTER, own, 0.0)
+            own = self._needed((size, share, length), own)
+            own = self._nearest((size, share, length), own)
+            price = _PRICE * 3 * correlated + _PRICE_OF_SCATTER * (own > 0).sum()
+            noise = NoiseModel(
+                float(size), float(share), float(length if correlated else 0.0),
+                tuple((own * _SCALES).tolist()),
+            )  # fmt: skip
+            found.append((self.value(size, share, length, own) + price, noise))
         return min(found, key=lambda f: f[0])[1]
 
     def scatter_errors(self, noise: NoiseModel) -> np.ndarray:
@@ -287,18 +270,10 @@ class _Restricted:
         size, seen = np.array(noise.scatter) / _SCALES, np.flatnonzero(noise.scatter)
         along = noise.size, noise.share, noise.length or 1.0
 
-        def value(*moves):
-            moved = size.copy()
-            for k, step in moves:
-                moved[k] *= np.exp(step)
-            return self.value(*along, moved)
-
         # A scatter is known to a few per cent at best; the likelihood's own digits end far below.
-        h, curvature = 0.05, np.empty((len(seen), len(seen)))
-        for i, a in enumerate(seen):
-            for j, b in enumerate(seen):
-                corners = [s * t * value((a, s * h), (b, t * h)) for s in (1, -1) for t in (1, -1)]
-                curvature[i, j] = sum(corners) / (4.0 * h * h)
+        ends = np.exp(0.01 * np.eye(len(size))[seen])
+        slopes = [self.slope(*along, size * e) - self.slope(*along, size / e) for e in ends]
+        curvature = np.reshape(slopes, (-1, len(size)))[:, seen] / 0.02
         errors = np.zeros(len(size))
         errors[seen] = np.sqrt(np.maximum(np.diag(np.linalg.inv(0.5 * curvature)), 0.0))
         return errors * size * _SCALES
@@ -329,9 +304,27 @@ class _Restricted:
             own[seen] = np.exp(p)
             return own
 
-        first, limits = np.log(scatter[seen]), (np.log(_NO_SCATTER), np.log(30.0))
-        bounds = [limits] * len(first)
-        return sizes(_least(lambda p: self.value(*along, sizes(p)), first, bounds))
+        bounds = [(np.log(_NO_SCATTER), np.log(30.0))] * np.count_nonzero(seen)
+        first = np.log(scatter[seen])
+        return sizes(self._least(lambda p: (*along, sizes(p)), first, bounds, seen))
+
+    def _least(self, read, first, bounds, groups) -> np.ndarray:
+        """Where the likelihood is best within bounds, after 30 steps at most. `read` gives the
+        noise of unknowns, the last of which are the logarithms of the scatters of `groups`."""
+
+        def value(p):
+            return self.value(*read(p))
+
+        def slope(p):
+            along, rest = np.split(p, [len(p) - np.count_nonzero(groups)])
+            known = self.slope(*read(p))[groups] if len(rest) else rest
+            if len(along):
+                # SciPy's own differences refuse a place that rounding has put beyond a bound.
+                along = approx_fprime(along, lambda a: value(np.append(a, rest)), 1e-8)
+            return np.append(along, known)
+
+        how = {"method": "L-BFGS-B", "jac": slope, "bounds": bounds, "options": {"maxiter": 30}}
+        return minimize(value, first, **how).x
 
     def _read(self, p, correlated, scattered):
         size, share, length = 1.0, 0.0, 1.0
@@ -352,12 +345,28 @@ class _Restricted:
             gram = gram - cross.mT @ np.linalg.solve(inner, cross)
             log_det += float(np.linalg.slogdet(inner)[1].sum())
         gram = gram.sum(axis=0)
-        square = gram[0, 0]
-        if width:
-            matrix = gram[1:, 1:] + np.eye(width)
-            square -= gram[0, 1:] @ np.linalg.solve(matrix, gram[0, 1:])
-            log_det += float(np.linalg.slogdet(matrix)[1])
-        return float(square + log_det)
+        matrix = gram[1:, 1:] + np.eye(width)
+        square = gram[0, 0] - gram[0, 1:] @ np.linalg.solve(matrix, gram[0, 1:])
+        return float(square + log_det + np.linalg.slogdet(matrix)[1])
+
+    def slope(self, size, share, length, scatter) -> np.ndarray:
+        """(7,) derivatives of `value` by the logarithms of the scatters."""
+        products, _ = self._products(size, share, length)
+        own, others = slice(1 + self.width), slice(1 + self.width, None)
+        u = np.repeat(scatter, COLUMNS)[:, None]
+        between, among = products[:, others, own], products[:, others, others] * u.T
+        inner = np.eye(len(u)) + u * among
+        solved = np.linalg.solve(inner, u * between)
+        gram = (products[:, own, own] - (u * between).mT @ solved).sum(axis=0)
+        weight = np.zeros_like(gram)
+        weight[1:, 1:] = np.linalg.inv(gram[1:, 1:] + np.eye(self.width))
+        least = np.append(1.0, -weight[1:, 1:] @ gram[1:, 0])
+        weight += np.outer(least, least)
+        # M = 1 + U S U and its solutions A = M^-1 U C change both terms by the rows of C - S U A.
+        by_gram = ((between - among @ solved) @ weight * solved).sum(axis=(0, 2))
+        by_inner = np.einsum("tij,tji->i", among, np.linalg.inv(inner))
+        by_column = 2.0 * u[:, 0] * (by_inner - by_gram)
+        return np.add.reduceat(by_column, np.cumsum((0, *COLUMNS[:-1])))
 
     def _products(self, size, share, length) -> tuple[np.ndarray, float]:
         """(t, 1 + P + 15, 1 + P + 15) products of columns in independent readings, and the log
