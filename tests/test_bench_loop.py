@@ -46,10 +46,10 @@ def test_edges_that_are_too_long_are_refused_before_the_work(tmp_path, monkeypat
     ids="+".join,
 )
 def test_loop_is_closed(tmp_path, controllers):
-    args = ["bench", "loop", "--out", str(tmp_path), "--json", "--trials", "10"]
+    args = ["bench", "loop", "--out", str(tmp_path), "--json", "--trials", "8"]
     args += ["--pattern", "letter-U", "--effect", "natural_curvature", "--curvature", "5"]
     args += ["--candidate", "natural_curvature", "--candidate", "stiffness"]
-    args += ["--spacing", "0.01", "--speed", "0.05", "--friction", "1.0"]
+    args += ["--spacing", "0.02", "--speed", "0.05", "--friction", "1.0"]
     if "network" in controllers:
         args += ["--grasps", "1000", "--steps", "2000"]
     args += [part for name in controllers for part in ("--controller", name)]
