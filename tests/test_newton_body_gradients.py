@@ -74,9 +74,10 @@ class Scene:
             com=wp.vec3(0.01, -0.005, 0.0075),
             inertia=wp.mat33(2e-6, 1e-7, 0.0, 1e-7, 3e-6, 2e-7, 0.0, 2e-7, 4e-6),
         )  # fmt: skip
+        start, end = (-1 if kind == "free" else self.body for kind in holds[:2])
         SolverDER.add_rod(
-            builder, line, material, start=holds[0], start_body=self.body, end=holds[1],
-            end_body=self.body, internal_damping=0.01, air_damping=0.3, visible=False,
+            builder, line, material, start=holds[0], start_body=start, end=holds[1],
+            end_body=end, internal_damping=0.01, air_damping=0.3, visible=False,
         )  # fmt: skip
         if holds[2] is not None:
             SolverDER.attach(builder, 0, self.body, node=4, kind=holds[2])

@@ -113,8 +113,9 @@ class Scene:
             )  # fmt: skip
             ends = ends[0], hung
         SolverDER.add_rod(
-            builder, line, material, start=ends[0], start_body=self.hand, end=ends[1],
-            end_body=weight, internal_damping=internal, air_damping=0.3,
+            builder, line, material, start=ends[0],
+            start_body=-1 if ends[0] == "free" else self.hand, end=ends[1], end_body=weight,
+            internal_damping=internal, air_damping=0.3,
         )  # fmt: skip
         if attached:
             SolverDER.attach(builder, 0, self.hand, node=4)
