@@ -11,6 +11,7 @@ from wrod.bench.held import held
 from wrod.bench.slippery_report import means, summary, told
 from wrod.commands import main
 from wrod.deployment.result import errors_along
+from wrod.errors import RodError
 
 
 def test_summary_is_the_mean_over_trials_and_then_over_cells():
@@ -129,6 +130,15 @@ def test_the_nearest_curve_that_friction_holds_is_that_of_another_solver(name, f
     pattern, rod = wrod.pattern(name), wrod.rod("green-vps")
     s, place = held(pattern, rod, friction)
     assert errors_along(pattern, s, place)[1].mean() == pytest.approx(error, rel=0.06)
+
+
+def test_little_friction_is_come_to_or_refused():
+    """The way down ends where a curve asks for all that it is given, and where there is no way."""
+    pattern, rod = wrod.pattern("sine"), wrod.rod("rope")
+    s, place = held(pattern, rod, 0.05)
+    assert errors_along(pattern, s, place)[1].mean() < 0.01
+    with pytest.raises(RodError, match="near letter-A that friction 0"):
+        held(wrod.pattern("letter-A"), rod, 0.001)
 
 
 def test_a_beginning_is_held_by_what_lies_before_it():

@@ -10,6 +10,7 @@ within its bound by a logarithmic barrier (Nocedal and Wright, Numerical Optimiz
 import numpy as np
 
 from wrod.deployment.result import METRIC_POINTS, interpolation, metric_points
+from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
 from wrod.rods.model import Rod
 
@@ -21,8 +22,10 @@ _EDGES = 4
 _FIRST, _LAST, _FALLS, _AGAIN, _NEAR = 1e-2, 1e-9, 10.0**-0.5, 3, 1e-3
 # Newton steps for each weight at most, and the decrease that ends them, over the weight.
 _STEPS, _DONE, _DAMPING = 30, 1e-3, 1e-9
-# Beyond the friction that a curve asks for, that which it is given next.
+# Beyond the friction that a curve asks for, that which it is given next, unless it has hardly more.
 _WITHIN = 1.02
+# Minima on the way at most.
+_MOST = 300
 
 
 def held(pattern: Pattern, rod: Rod, friction: float) -> tuple[np.ndarray, np.ndarray]:
@@ -34,10 +37,13 @@ def held(pattern: Pattern, rod: Rod, friction: float) -> tuple[np.ndarray, np.nd
     Args:
         pattern: with its remainder.
         rod: of which L_gb counts.
-        friction: the coefficient.
+        friction: the coefficient [-].
 
     Returns:
         Arc length (node,) and place (node, 3) [m], as `wrod.bench.put_down.put_down`.
+
+    Raises:
+        RodError: the way down to this friction does not end.
     """
     lgb = rod.gravito_bending_length
     length = pattern.length + pattern.remainder_length
@@ -49,15 +55,22 @@ def held(pattern: Pattern, rod: Rod, friction: float) -> tuple[np.ndarray, np.nd
     begin = pattern.sample(-pattern.remainder_length)[0][0, :2] / lgb
     values = np.r_[angle, np.zeros(count), begin, np.diff(angle[-2:]) / problem.edge]
     bound, weight, left = max(friction, _WITHIN * problem.asked(values)), _FIRST, _AGAIN
-    while left > 0:
+    for _ in range(_MOST):
         values = problem.minimum(values, bound, weight)
         if bound > friction:
-            bound = max(friction, _WITHIN * problem.asked(values), 0.5 * bound)
+            asked = problem.asked(values)
+            bound = max(friction, min(_WITHIN * asked, 0.5 * (asked + bound)), 0.5 * bound)
         elif weight > _LAST:
             weight = max(_LAST, _FALLS * weight)
         else:
             problem.weigh(values)
             left -= 1
+            if left == 0:
+                break
+    else:
+        raise RodError(
+            f"no curve near {pattern.source} that friction {friction:g} holds was found; give more"
+        )
     place = np.zeros((count + 1, 3))
     place[:, :2] = lgb * problem.statics(values)[0]
     return s, place
