@@ -14,12 +14,13 @@ SIZES = (7, 11, 31, 32, 33, 42, 43, 64, 95, 179)
 RODS, COLUMNS = 5, 3
 
 
-def problem(n, seed=0):
-    """Indefinite matrices that differ from rod to rod, of nodes that are coupled with two before
-    them; the last rod is not active."""
+def problem(n, seed=0, by_nodes=True):
+    """Indefinite matrices that differ from rod to rod, `by_nodes` of four that are coupled with two
+    before them; the last rod is not active."""
     rng = np.random.default_rng([seed, n])
     hessian = rng.normal(size=(RODS, n, 11))
-    hessian[:, np.arange(11) > np.arange(n)[:, None] % 4 + 8] = 0.0
+    if by_nodes:
+        hessian[:, np.arange(11) > np.arange(n)[:, None] % 4 + 8] = 0.0
     hessian[:, :, 0] += rng.uniform(-12, 24, (RODS, n))
     free = rng.random((RODS, n)) > 0.15
     free[0] = True
@@ -73,7 +74,7 @@ WAYS = [
 @pytest.mark.parametrize("n", SIZES)
 @pytest.mark.parametrize(("kernels", "device"), WAYS)
 def test_factors_inertia_and_solutions_are_those_of_dense_matrices(kernels, device, n):
-    hessian, free, shift, active, right = problem(n)
+    hessian, free, shift, active, right = problem(n, by_nodes=kernels is banded)
     factor, negative, x = run(kernels, device, hessian, free, shift, active, right)
     for r in np.flatnonzero(active):
         f = free[r]
@@ -96,7 +97,7 @@ def test_factors_inertia_and_solutions_are_those_of_dense_matrices(kernels, devi
 
 @pytest.mark.parametrize(("kernels", "device"), WAYS)
 def test_rods_that_are_not_active_are_left_alone(kernels, device):
-    hessian, free, shift, active, right = problem(43)
+    hessian, free, shift, active, right = problem(43, by_nodes=kernels is banded)
     factor, negative, x = run(kernels, device, hessian, free, shift, active, right)
     assert (factor[-1] == 7.0).all() and negative[-1] == -1
     assert (x[-1] == right[-1]).all()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from scipy.integrate import solve_ivp
-from test_kernels import deformed_rods, displaced, fourth_order
+from test_kernels import beyond_two_nodes, deformed_rods, displaced, fourth_order
 from wrod.kernels.elastic import inelastic as kernels
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
 
@@ -134,6 +134,7 @@ def test_energies_of_the_section_have_their_derivatives(kind):
     batch = with_energy(kind)
     out = batch.evaluate(order=2)
     gradient, band = out.gradient.numpy().copy(), out.hessian.numpy().copy()
+    assert not band[:, beyond_two_nodes(batch)].any()
     slope = np.empty_like(gradient)
     jacobian = np.empty((batch.rod_count, batch.dof_count, batch.dof_count))
     for a in range(batch.dof_count):

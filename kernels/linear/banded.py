@@ -1,9 +1,11 @@
 """Banded direct factorisation, one rod a thread: A = L D L^T with half-bandwidth 10, no pivoting.
 
 Rows and columns of prescribed degrees of freedom (`free` is 0) count as those of the identity.
+Numbers come by nodes of four, and nodes are coupled with two before them: entries with
+k > a % 4 + 8, which no stencil adds to (`wrod.kernels.elastic.assembly`), count as zero.
 L overwrites nothing: `factor[r, a, k]` holds L[a, a - k] for k = 1...10 and D[a] for k = 0.
 By Sylvester's law the number of negative D is that of the negative eigenvalues of the free block.
-A CPU's: a GPU has `wrod.kernels.linear.factor_lanes` and `banded_lanes`.
+A CPU's, and a trap on a GPU, which has `wrod.kernels.linear.factor_lanes` and `banded_lanes`.
 """
 
 import warp as wp
@@ -134,6 +136,8 @@ _FACTORISE = r"""
     }
     WROD_COPY(last, band + whole * NODE, rest * BAND)
     negative_pivots_out.data[r] = negative;
+#else
+    __trap();
 #endif
 """
 _SOLVE = r"""
@@ -188,6 +192,8 @@ _SOLVE = r"""
         before = earlier;
     }
     WROD_COPY(own_last, own + 4 * whole, rest)
+#else
+    __trap();
 #endif
 """
 

@@ -24,8 +24,9 @@ def multiply_banded(
 class BandedSystem:
     """Factorisation of the free block of a batch's Hessian, and solutions with it.
 
-    A CPU takes the rows one by one. A GPU gives each rod a warp, also of those that share a row;
-    `eliminate` solves there for one right-hand side from both ends of each rod with two.
+    A CPU takes a node at a time, coupled with two before it. A GPU gives each rod a warp, also of
+    those that share a row; `eliminate` solves there for one right-hand side from both ends of each
+    rod with two.
 
     Args:
         batch: the rods.
