@@ -39,7 +39,7 @@ NOTHING = wp.constant(wp.float64(0.01))
 MOST_TO_SETTLE = wp.constant(40)
 # A rod so many times as thick as another is a post to it, over which its loads are spread.
 POST = wp.constant(wp.float64(2.0))
-# Part of the way that loads go on a post at once, and by how much they fall at most.
+# Part of the way that loads go on a post at once, and the part of them that is left at least.
 GENTLY = wp.constant(wp.float64(0.25))
 LEAST_LEFT = wp.constant(wp.float64(0.1))
 # Residual over the tolerance from which on loads are taken anew: to come nearer to balance under
@@ -107,6 +107,7 @@ def add_pair_force(
 
 @wp.func
 def is_on_post(m: Pieces, r: int, i: int, j: int) -> bool:
+    """Whether one of two edges is so thick beside the other that this lies on it as on a post."""
     thick = wp.max(m.radius[r, i], m.radius[r, j])
     return thick > POST * wp.min(m.radius[r, i], m.radius[r, j])
 

@@ -1,5 +1,6 @@
 """What a rod is in a Newton model: its custom attributes, and how one is added to a builder."""
 
+from bisect import bisect_right
 from typing import Any
 
 import newton
@@ -182,12 +183,11 @@ def _refuse_body(builder: ModelBuilder, name: str, body: int) -> None:
             f"{name} is {body}; give a body of the builder (it has {builder.body_count}), or -1 "
             "for the world"
         )
-    for rod in range(builder._custom_frequency_counts.get(ROD, 0) if body >= 0 else 0):
-        shown = builder.custom_attributes["der:rod_visible"].values[rod]
-        if shown and body in capsules(builder, rod):
-            raise RodError(
-                f"{name} is {body}, which shows rod {rod} and goes with it; give another"
-            )
+    values = builder.custom_attributes
+    # Rods bring their bodies along when they are added: so first ones grow from rod to rod.
+    rod = bisect_right(values["der:rod_body"].values or [], body) - 1
+    if rod >= 0 and values["der:rod_visible"].values[rod] and body in capsules(builder, rod):
+        raise RodError(f"{name} is {body}, which shows rod {rod} and goes with it; give another")
 
 
 def _add_nodes(builder: ModelBuilder, rod: MeshedRod) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import warp as wp
 from newton import Contacts, Model, State
 
+from wrod.kernels.contact.rods import POST
 from wrod.kernels.stepping import carrying, exchange
 from wrod.newton_solver.body_contact import BodyContact
 from wrod.newton_solver.holds import Holds
@@ -184,14 +185,14 @@ class RodGroup:
         return contact
 
     def _partners(self, radius: np.ndarray) -> int:
-        """How many edges one may be near to: of a post, those of a turn of what is thin, and more.
-        `radius` (row, edge) is NaN where nothing is touched."""
+        """How many edges one may be near to: of a post, those of a turn and a quarter of what is
+        thin around it. `radius` (row, edge) is NaN where nothing is touched."""
         thick, thin = np.nanmax(radius), np.nanmin(radius)
-        if thick < 2.0 * thin:
+        if thick <= float(POST) * thin:
             return _PARTNERS
         shortest = self.batch.rest_length.numpy()[np.isfinite(radius)].min()
-        turn = 2.5 * np.pi * (thick + thin) / shortest
-        return int(np.clip(turn, _PARTNERS, max(_PARTNERS, radius.shape[1])))
+        around = 1.25 * 2.0 * np.pi * (thick + thin) / shortest
+        return int(np.clip(around, _PARTNERS, max(_PARTNERS, radius.shape[1])))
 
     def _pair_stiffness(self, radius: np.ndarray) -> np.ndarray:
         """(row,) of pairs of edges, that of `Layout.stiffest_edges`; notes how it follows what rods
