@@ -1,4 +1,5 @@
-"""Tangents of bends that yield (`wrod.kernels.elastic.inelastic`), by every number of the rod.
+"""Tangents of bends that yield, of the law `PLASTIC` of `wrod.kernels.elastic.inelastic`, by every
+number of the rod.
 
 Beside `motion_tangents`: over a step a node's z goes to F(z_0, e - e_0), e its excess curvatures
 and e_0 those at its start. Columns carry the rates of e_0 and z_0.
@@ -6,7 +7,7 @@ and e_0 those at its start. Columns carry the rates of e_0 and z_0.
 
 import warp as wp
 from wrod.kernels.elastic.assembly import add_edge_gradient
-from wrod.kernels.elastic.curvature import component, excess_curvature, stencil
+from wrod.kernels.elastic.curvature import Stencil, component, excess_curvature, stencil
 from wrod.kernels.elastic.frames import HALF, TWO
 from wrod.kernels.elastic.inelastic import ELASTIC, Flow, Inelastic, cell, flow, weight_of
 from wrod.kernels.elastic.model import ElasticModel
@@ -24,6 +25,25 @@ class Rates:
     inelastic: wp.array2d(dtype=wp.vec4d)
 
 
+@wp.struct
+class Bend:
+    """At the end of a step: excess curvatures, the z that they would have led to without flow, and
+    what flow makes of it."""
+
+    excess: wp.vec2d
+    trial: wp.vec2d
+    now: Flow
+
+
+@wp.func
+def bend_of(model: ElasticModel, node: Inelastic, s: Stencil, r: int, i: int) -> Bend:
+    out = Bend()
+    out.excess = excess_curvature(s, cell(model, r, i), model.natural_curvature[r, i])
+    out.trial = node.lagging + out.excess - node.excess
+    out.now = flow(node, out.excess, weight_of(model.bending[r, i]))
+    return out
+
+
 @wp.func
 def excess_rate(
     model: ElasticModel, rates: Rates, curved: wp.vec2d, excess: wp.vec2d, r: int, j: int, i: int
@@ -39,8 +59,7 @@ def excess_rate(
 @wp.func
 def lagging_rate(
     node: Inelastic,
-    now: Flow,
-    trial: wp.vec2d,
+    bend: Bend,
     b: wp.vec2d,
     rates: Rates,
     excess_change: wp.vec2d,
@@ -48,10 +67,10 @@ def lagging_rate(
     j: int,
     i: int,
 ) -> wp.vec2d:
-    """Of z at the end of a step that would have led to `trial` without flow; `kept`: rates of e_0
-    and z_0."""
+    """Of z at the end of a step; `kept`: rates of e_0 and z_0."""
     change = excess_change - wp.vec2d(kept[0], kept[1]) + wp.vec2d(kept[2], kept[3])
-    out = now.tangent * change
+    out = bend.now.tangent * change
+    trial = bend.trial
     weight = weight_of(b)
     square = wp.dot(trial, wp.cw_mul(weight, trial))
     if square > node.scale * node.scale:
@@ -89,16 +108,14 @@ def yield_tangents(
     s = stencil(dof, director, r, i)
     first = component(s, 0)
     second = component(s, 1)
-    excess = excess_curvature(s, cell(model, r, i), model.natural_curvature[r, i])
-    now = flow(here, excess, weight_of(b))
-    trial = here.lagging + excess - here.excess
+    bend = bend_of(model, here, s, r, i)
     still = wp.vec2d()
     for j in range(group * per_thread, wp.min(kept.shape[1], (group + 1) * per_thread)):
-        change = excess_rate(model, rates, still, excess, r, j, i)
-        z = lagging_rate(here, now, trial, b, rates, change, kept[r, j, i], j, i)
+        change = excess_rate(model, rates, still, bend.excess, r, j, i)
+        z = lagging_rate(here, bend, b, rates, change, kept[r, j, i], j, i)
         stiffer = rates.stiffness[j, i]
         more = rates.inelastic[j, i][1] * b + here.share * wp.vec2d(stiffer[0], stiffer[1])
-        moment = wp.cw_mul(more, now.z - excess) + here.share * wp.cw_mul(b, z - change)
+        moment = wp.cw_mul(more, bend.now.z - bend.excess) + here.share * wp.cw_mul(b, z - change)
         g_e = moment[0] * first.e + moment[1] * second.e
         g_f = moment[0] * first.f + moment[1] * second.f
         row = r * kept.shape[1] + j
@@ -132,11 +149,9 @@ def carry_yield_tangents(
         return
     b = model.bending[r, i]
     s = stencil(dof, director, r, i)
-    excess = excess_curvature(s, cell(model, r, i), model.natural_curvature[r, i])
-    now = flow(here, excess, weight_of(b))
-    trial = here.lagging + excess - here.excess
+    bend = bend_of(model, here, s, r, i)
     for j in range(group * per_thread, wp.min(kept.shape[1], (group + 1) * per_thread)):
         strain = strain_rate[r, j, i]
-        change = excess_rate(model, rates, wp.vec2d(strain[0], strain[1]), excess, r, j, i)
-        z = lagging_rate(here, now, trial, b, rates, change, kept[r, j, i], j, i)
+        change = excess_rate(model, rates, wp.vec2d(strain[0], strain[1]), bend.excess, r, j, i)
+        z = lagging_rate(here, bend, b, rates, change, kept[r, j, i], j, i)
         kept[r, j, i] = wp.vec4d(change[0], change[1], z[0], z[1])
