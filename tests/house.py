@@ -168,7 +168,10 @@ def shortened(folder: Path) -> dict[str, int]:
     tests, examples or documents is not counted. Nothing where the history is not there."""
     command = ("git", "-C", str(folder), "log", "--no-merges", "--no-renames", "--numstat")
     asked = [*command, "--format=tformat:@", f"{BEFORE}..", "--", "*.py"]
-    log = subprocess.run(asked, capture_output=True, text=True, check=False)
+    try:
+        log = subprocess.run(asked, capture_output=True, text=True, check=False)
+    except FileNotFoundError:  # no git
+        return {}
     fewer = []
     for commit in log.stdout.split("@\n")[1:]:
         rows = [line.split("\t") for line in commit.split("\n") if line]

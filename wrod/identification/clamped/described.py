@@ -54,7 +54,7 @@ def _soft_window(breadth, log_softness):
 
 def _shortened(gain, ratio):
     """A relative gain over a stretch that is shorter by a ratio: in sum the same, of a loss what
-    leaves something; smooth where it is nothing."""
+    leaves something; once differentiable where it is nothing."""
     return gain * ratio if np.real(gain) > 0.0 else np.expm1(ratio * np.log1p(gain))
 
 
@@ -126,7 +126,8 @@ class LocalBend(Described):
 
 class Stretch(Described):
     """Readings tell the sum, the centroid and the spread of what a stretch gives and weighs more,
-    hardly how soft its ends are: its ends are those of the sharp stretch of the same."""
+    hardly how soft its ends are: its ends are those of the sharp stretch of the same, nearly so
+    where it is stiffer or lighter, as there is no less than nothing of either."""
 
     name = "stretch"
     title = "a stretch of rod that is otherwise stiff and otherwise heavy"

@@ -4,6 +4,9 @@ import numpy as np
 
 from wrod.identification.effect import Effect, Estimate, Parameter, unknowns
 
+# Where yielding is first looked for in motion [1/m]: below what cables bend by there.
+_YIELDS = 4.0
+
 
 class Softening(Effect):
     """A rod whose moment falls behind its curvature, as of a cable whose strands begin to slip."""
@@ -81,8 +84,8 @@ class Yielding(Softening):
     left, place = "hardening", "yield_curvature"
 
     def starts(self, measurements):
-        if measurements is None:  # in motion, below what cables bend by there
-            return [np.array([np.log(4.0), 0.3])]
+        if measurements is None:
+            return [np.array([np.log(_YIELDS), 0.3])]
         # A yield curvature that no trial reaches leaves nothing to go by.
         bent = measurements.largest_curvature
         return [np.array([np.log(u * bent), lost]) for u in (0.2, 0.5) for lost in self.first]

@@ -30,8 +30,8 @@ _FULL = 30
 _PLACE, _HEIGHT, _LOG_HEIGHT, _WORTH = 0.1, 0.7, 0.3, 1e-3
 _PRIOR = np.array([_PLACE, _PLACE, _LOG_HEIGHT])
 # Placing and finding are repeated until the camera moves less than so far, in its priors' units.
-# What is found hangs on where that began, as cameras aside on one line are hardly told apart.
 _ROUNDS, _STILL = 6, 0.02
+# What is found hangs on where that began, as cameras aside on one line are hardly told apart [m].
 _STARTS = [(right, up) for right in (-0.1, 0.0, 0.1) for up in (-0.1, 0.0, 0.1)]
 # Where the search begins, about the last camera.
 _SIMPLEX = np.vstack([np.zeros(3), np.diag([0.08, 0.08, -0.3])])

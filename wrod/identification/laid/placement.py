@@ -125,8 +125,8 @@ def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
 
     Least mean distance, which photographs are judged by, found by descent from two places: one by
     a descent that smooths distances below the picture's uncertainty, one where nearest points that
-    are fitted and found anew lead to. Motions of much more than 0.3 rad or 5 cm are not looked for:
-    a straight rod would match from either end.
+    are fitted and found anew lead to. Motions of over 0.6 rad or 10 cm are not taken: a straight
+    rod would match from either end.
     """
     points = photograph.points
     centre, tree = points.mean(axis=0), cKDTree(curve)
@@ -135,6 +135,8 @@ def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
     for start in (_descended(points, tree, centre, np.zeros(3), scale),
                   _alternated(points, curve, centre, scale)):  # fmt: skip
         motion = _descended(points, tree, centre, start, _SHARP * scale)
+        if (np.abs(motion) > 2.0 * _UNIT).any():
+            continue
         line = moved(motion, curve, centre)
         found.append(Alignment(line, motion[0], motion[1:], cKDTree(line).query(points)[0]))
     return min(found, key=lambda placement: placement.mean)

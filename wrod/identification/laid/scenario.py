@@ -114,7 +114,7 @@ def begun(held: bool, believed: RodMaterial) -> dict[str, Any]:
     """How the free end begins, as `wrod.simulate_deployments` takes it.
 
     A grip straight above the contact keeps the rod taut, and the table is touched some L_gb later
-    than planned: let go at once the held end would be snatched, by 0 to 5 mm as its mesh has it.
+    than planned: let go at once the held end would be snatched, by more or less as its mesh has it.
     """
     if not held:
         return {"hold": 0.0}
