@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.interpolate import Akima1DInterpolator
 from scipy.optimize import fsolve
 
 import wrod
 from wrod.errors import GraspError
 from wrod.grasps.mesh import WEIGHT
-from wrod.grasps.remembering import _between
 from wrod.rods.law import Dahl, Linear, Plastic
 from wrod.rods.model_file import rod_as_json
 
@@ -103,16 +101,6 @@ def test_a_wire_that_yields_early_is_found():
 def test_contacts_of_a_rod_that_remembers_are_in_order():
     with pytest.raises(GraspError, match="in the order"):
         wrod.solve_rod_grasps(of_law(Plastic(5.0, 0.1)), [0.1, 0.05], 1.0)
-
-
-@pytest.mark.parametrize("count", (2, 3, 4, 20))
-def test_between_contacts_it_is_as_scipy_interpolates(count):
-    rng = np.random.default_rng(count)
-    at, wanted = np.cumsum(rng.uniform(0.1, 1.0, count)), rng.uniform(-0.5, 12.0, 50)
-    kink = np.abs(at - at[count // 2])[:, None]
-    for value in (rng.normal(size=(count, 3)), kink):
-        exact = Akima1DInterpolator(at, value)(np.clip(wanted, at[0], at[-1]))
-        np.testing.assert_allclose(_between(at, value, wanted), exact, atol=1e-13)
 
 
 @pytest.mark.parametrize("law", [Plastic(9.0, 0.4), Dahl(9.0, 0.5)], ids=lambda law: law.name)

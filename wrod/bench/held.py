@@ -3,11 +3,12 @@
 A rod that lies on a table bears along itself a force F that friction f changes, F' = -f, and a
 moment that F turns, M' = -t x F; nothing but |f| <= mu w bounds what it may lie in. Of all such
 curves, free at their beginning and held by the grip at the pattern's end, that with the least mean
-distance from the points of the metric is found by an interior-point method: friction is kept
-within its bound by a logarithmic barrier (Nocedal and Wright, Numerical Optimization, ch. 19).
+distance from the points of the metric is found by sequential quadratic programming (SciPy's SLSQP,
+Kraft 1988).
 """
 
 import numpy as np
+from scipy.optimize import minimize
 
 from wrod.deployment.result import METRIC_POINTS, interpolation, metric_points
 from wrod.errors import RodError
@@ -16,16 +17,10 @@ from wrod.rods.model import Rod
 
 # Edges a length L_gb.
 _EDGES = 4
-# Weight of the barrier at first and at last, by what it falls, and how often the last is repeated,
-# by when each point counts by the inverse of its distance, but for distances below this [L_gb]:
-# squares become distances.
-_FIRST, _LAST, _FALLS, _AGAIN, _NEAR = 1e-2, 1e-9, 10.0**-0.5, 3, 1e-3
-# Newton steps for each weight at most, and the decrease that ends them, over the weight.
-_STEPS, _DONE, _DAMPING = 30, 1e-3, 1e-9
-# Beyond the friction that a curve asks for, that which it is given next, unless it has hardly more.
-_WITHIN = 1.02
-# Minima on the way at most.
-_MOST = 300
+# Distances are smoothed below this [L_gb]; what they change by at last, and steps at most.
+_NEAR, _DONE, _STEPS = 1e-3, 1e-6, 2000
+# Of the friction that a curve asks for, that which the next one may; by how much it may miss it.
+_FALLS, _MISSES = 0.7, 1e-5
 
 
 def held(pattern: Pattern, rod: Rod, friction: float) -> tuple[np.ndarray, np.ndarray]:
@@ -43,7 +38,7 @@ def held(pattern: Pattern, rod: Rod, friction: float) -> tuple[np.ndarray, np.nd
         Arc length (node,) and place (node, 3) [m], as `wrod.bench.put_down.put_down`.
 
     Raises:
-        RodError: the way down to this friction does not end.
+        RodError: no such curve was found.
     """
     lgb = rod.gravito_bending_length
     length = pattern.length + pattern.remainder_length
@@ -54,23 +49,21 @@ def held(pattern: Pattern, rod: Rod, friction: float) -> tuple[np.ndarray, np.nd
     angle = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     begin = pattern.sample(-pattern.remainder_length)[0][0, :2] / lgb
     values = np.r_[angle, np.zeros(count), begin, np.diff(angle[-2:]) / problem.edge]
-    bound, weight, left = max(friction, _WITHIN * problem.asked(values)), _FIRST, _AGAIN
-    for _ in range(_MOST):
-        values = problem.minimum(values, bound, weight)
-        if bound > friction:
-            asked = problem.asked(values)
-            bound = max(friction, min(_WITHIN * asked, 0.5 * (asked + bound)), 0.5 * bound)
-        elif weight > _LAST:
-            weight = max(_LAST, _FALLS * weight)
-        else:
-            problem.weigh(values)
-            left -= 1
-            if left == 0:
-                break
-    else:
-        raise RodError(
-            f"no curve near {pattern.source} that friction {friction:g} holds was found; give more"
-        )
+    bound = np.inf
+    while bound > friction:
+        bound = max(friction, _FALLS * problem.asked(values))
+        found = minimize(
+            problem.distance, values, jac=True, method="SLSQP",
+            constraints={"type": "ineq", "fun": problem.room, "jac": problem.room_slope,
+                         "args": (bound,)},
+            options={"ftol": _DONE, "maxiter": _STEPS},
+        )  # fmt: skip
+        values = found.x
+        if not found.success or problem.asked(values) > (1.0 + _MISSES) * bound:
+            raise RodError(
+                f"no curve near {pattern.source} that friction {friction:g} holds was found; "
+                "give more"
+            )
     place = np.zeros((count + 1, 3))
     place[:, :2] = lgb * problem.statics(values)[0]
     return s, place
@@ -87,7 +80,6 @@ class _Problem:
         self.target = target[:, :2] / lgb
         self.lengths = np.full(self.count, self.edge)  # of rod that each node but the last bears
         self.lengths[0] *= 0.5
-        self.share = np.full(METRIC_POINTS, 1.0 / METRIC_POINTS)
 
     def statics(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Places (n + 1, 2), friction (n, 2) that the nodes but the last ask for, and the tangents
@@ -105,62 +97,33 @@ class _Problem:
         """The least coefficient of friction that holds all of the rod."""
         return float(np.linalg.norm(self.statics(values)[1], axis=1).max())
 
-    def weigh(self, values: np.ndarray) -> None:
-        """Let each point count by the inverse of its distance."""
-        off = np.linalg.norm(self.weights @ self.statics(values)[0] - self.target, axis=1)
-        self.share = 1.0 / np.maximum(off, _NEAR)
-        self.share /= self.share.sum()
+    def distance(self, values: np.ndarray) -> tuple[float, np.ndarray]:
+        """Mean distance from the points of the metric, and its derivatives."""
+        place, _, tangent, _ = self.statics(values)
+        off = self.weights @ place - self.target
+        far = np.sqrt((off**2).sum(axis=1) + _NEAR**2)
+        pull = self.weights.T @ (off / (METRIC_POINTS * far[:, None]))  # on each node
+        # An edge that turns moves all nodes after it.
+        after = pull.sum(axis=0) - np.cumsum(pull, axis=0)[:-1]
+        turn = self.edge * (_left(tangent) * after).sum(axis=1)
+        return float(far.mean()), np.r_[turn, np.zeros(self.count), pull.sum(axis=0), 0.0]
 
-    def value(self, values: np.ndarray, bound: float, weight: float) -> float:
-        place, friction = self.statics(values)[:2]
-        room = 1.0 - (friction**2).sum(axis=1) / bound**2
-        if not room.min() > 0.0:
-            return np.inf
-        off = ((self.weights @ place - self.target) ** 2).sum(axis=1)
-        return float(0.5 * self.share @ off - weight * np.log(room).mean())
+    def room(self, values: np.ndarray, bound: float) -> np.ndarray:
+        """(n,) what is left of friction's bound, of its square and in parts of that."""
+        return 1.0 - (self.statics(values)[1] ** 2).sum(axis=1) / bound**2
 
-    def minimum(self, values: np.ndarray, bound: float, weight: float) -> np.ndarray:
-        """Values at which friction is within its bound, from some at which it is."""
-        for _ in range(_STEPS):
-            matrix, slope = self._model(values, bound, weight)
-            step, now = -np.linalg.solve(matrix, slope), self.value(values, bound, weight)
-            falls, length = float(-slope @ step), 1.0
-            while not self.value(values + length * step, bound, weight) < (
-                now - 1e-4 * length * falls
-            ):
-                length *= 0.5
-                if length < 1e-8:
-                    return values
-            values = values + length * step
-            if falls < _DONE * weight:
-                break
-        return values
-
-    def _model(self, values: np.ndarray, bound: float, weight: float):
-        """Matrix and slope of a quadratic model, without what second derivatives of places and
-        friction add to it."""
-        n, size = self.count, len(values)
-        place, friction, tangent, force = self.statics(values)
-        root, i = np.sqrt(self.share), np.arange(n)
-        places = np.zeros((METRIC_POINTS, 2, size))
-        below = self.edge * np.tri(n + 1, n, -1)
-        places[:, :, :n] = (self.weights @ below)[:, None] * _left(tangent).T
-        places[:, 0, 2 * n] = places[:, 1, 2 * n + 1] = self.weights.sum(axis=1)
-        places = (root[:, None, None] * places).reshape(-1, size)
-        off = (root[:, None] * (self.weights @ place - self.target)).ravel()
-        bends = np.zeros((n + 1, size))
+    def room_slope(self, values: np.ndarray, bound: float) -> np.ndarray:
+        """(n, 2 n + 3) derivatives of `room`."""
+        n, i = self.count, np.arange(self.count)
+        _, friction, tangent, force = self.statics(values)
+        bends = np.zeros((n + 1, len(values)))
         bends[i[1:], i[1:]], bends[i[1:], i[:-1]] = 1.0 / self.edge, -1.0 / self.edge
         bends[n, -1] = 1.0
         forces = -_left(tangent)[:, :, None] * np.diff(bends, axis=0)[:, None] / self.edge
         forces[i, :, i] += _left(force)
         forces[i, :, n + i] += tangent
         rates = -np.diff(forces, axis=0, prepend=0.0) / self.lengths[:, None, None]
-        room = 1.0 - (friction**2).sum(axis=1) / bound**2
-        used = 2.0 / bound**2 * np.einsum("nd,ndv->nv", friction, rates) / room[:, None]
-        rates = (np.sqrt(2.0 / room)[:, None, None] / bound * rates).reshape(-1, size)
-        matrix = places.T @ places + weight / n * (used.T @ used + rates.T @ rates)
-        slope = places.T @ off + weight / n * used.sum(axis=0)
-        return matrix + _DAMPING * np.eye(size), slope
+        return -2.0 / bound**2 * np.einsum("nd,ndv->nv", friction, rates)
 
 
 def _left(vectors: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import warp as wp
+from scipy.interpolate import Akima1DInterpolator
 
 from wrod.errors import GraspError
 from wrod.grasps.general import RodArrays, solve_general
@@ -153,13 +154,13 @@ class History:
         points, count = self._point, len(node)
         path = np.zeros((count, len(points), 2))
         for i in range(count):
-            path[i, i:] = _between(node[i], excess[i], points[i:])
+            path[i, i:] = _akima(node[i], excess[i], points[i:])
         of_points = np.stack([np.interp(points, node[0], stiffness[0, :, k]) for k in (0, 1)], 1)
         lagging, _ = self._flow(path, of_points, np.zeros((2, len(points), 2)))
         before = np.zeros((2, *excess.shape))
         for i in range(1, count):
             both = np.concatenate([path[i - 1, i - 1 :], lagging[i - 1, i - 1 :]], axis=1)
-            before[:, i] = np.split(_between(points[i - 1 :], both, node[i]), 2, axis=1)
+            before[:, i] = np.split(_akima(points[i - 1 :], both, node[i]), 2, axis=1)
         return before
 
     def _flow(
@@ -180,23 +181,7 @@ class History:
         return out[0].numpy(), out[1].numpy()
 
 
-def _between(at: np.ndarray, value: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Values (n, k) at increasing places (n,) between them, without overshooting at kinks: Akima's
-    interpolation (1970). SciPy prepares for more than one use of it, which costs most of a plan."""
-    slope = np.diff(value, axis=0) / np.diff(at)[:, None]
-    first, last = slope[0] - slope[:2][-1], slope[-1] - slope[-2:][0]
-    before = slope[0] + 2.0 * first, slope[0] + first
-    slope = np.concatenate([before, slope, [slope[-1] + last, slope[-1] + 2.0 * last]])
-    turn = np.abs(np.diff(slope, axis=0))
-    weight = turn[2:] + turn[:-2]
-    sure = weight > 1e-9 * weight.max()
-    even = 0.5 * (slope[3:] + slope[:-3])
-    rate = np.where(
-        sure, (turn[2:] * slope[1:-2] + turn[:-2] * slope[2:-1]) / np.where(sure, weight, 1.0), even
-    )
-    wanted = np.clip(wanted, at[0], at[-1])
-    k = np.clip(np.searchsorted(at, wanted, "right") - 1, 0, len(at) - 2)
-    width, chord = (at[k + 1] - at[k])[:, None], slope[k + 2]
-    u = (wanted - at[k])[:, None] / width
-    bend = (rate[k] - chord) * (1.0 - u) - (rate[k + 1] - chord) * u
-    return value[k] + width * u * (chord + (1.0 - u) * bend)
+def _akima(at: np.ndarray, value: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Values (n, k) at increasing places (n,) between them, without overshooting at kinks; beyond
+    them those at their ends."""
+    return Akima1DInterpolator(at, value)(np.clip(wanted, at[0], at[-1]))
