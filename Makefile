@@ -18,10 +18,13 @@ $(STAMP): pyproject.toml constraints.txt
 	touch $@
 
 # The installation compiles what commands launch; this what programs and tests do, and their bytecode.
+# Types are checked, too: `make types` then checks what has changed since, and reports what is wrong
+# from what is kept; that is no reason not to set up.
 setup: export PYTHONDONTWRITEBYTECODE =
 setup: $(STAMP)
 	$(BIN)/python tests/compiled.py
 	$(BIN)/python -m pytest -qq --collect-only > /dev/null
+	@$(MAKE) --silent types > /dev/null 2>&1 || true
 
 demo: $(STAMP)
 	$(BIN)/wrod plan letter-A --rod green-vps --out out/letter-A
