@@ -6,7 +6,7 @@ import numpy as np
 
 from wrod.bench.photographs_deployments import Deployments, believed_scenario, scenarios_of
 from wrod.errors import DataError
-from wrod.identification.laid.camera import OverheadCamera, find_camera
+from wrod.identification.laid.camera import OverheadCamera, begin, find_camera
 from wrod.identification.laid.choice import aligned, average, simplest, spread, weigh
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.placement import MissesByPart, foot, parts_of, raw, rigid
@@ -91,8 +91,9 @@ def judge(photographs: list[LaidPhotograph], laid: Deployments, drawn: int | Non
     rods = [laid.of(p, "int", scenarios[p.rod]) for p in photographs]
     believed = [one[believed_scenario(p.rod)] for p, one in zip(photographs, rods, strict=True)]
     patterns = sorted({p.pattern_name for p in photographs})
-    left_out = [(photographs, believed, name) for name in (*patterns, None)]
-    *found, camera = laid.map(_camera, left_out)
+    begun = laid.map(begin, list(zip(photographs, believed, strict=True)))
+    told = list(zip(photographs, believed, begun, strict=True))
+    *found, camera = laid.map(_camera, [(told, name) for name in (*patterns, None)])
     cameras = dict(zip(patterns, found, strict=True))
     columns = laid.map(
         _column,
@@ -195,10 +196,10 @@ class _Case:
     camera: OverheadCamera
 
 
-def _camera(photographs, believed, without) -> OverheadCamera:
-    kept = [k for k, p in enumerate(photographs) if p.pattern_name != without]
+def _camera(told, without) -> OverheadCamera:
+    kept = [one for one in told if one[0].pattern_name != without]
     try:
-        return find_camera([photographs[k] for k in kept], [believed[k] for k in kept])
+        return find_camera(*zip(*kept, strict=True))
     except DataError:
         return OverheadCamera()  # nothing hangs in the few pictures that there are
 

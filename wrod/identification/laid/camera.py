@@ -7,8 +7,9 @@ the grip is shown from where it hangs tells the three numbers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize
@@ -31,8 +32,6 @@ _PLACE, _HEIGHT, _LOG_HEIGHT, _WORTH = 0.1, 0.7, 0.3, 1e-3
 _PRIOR = np.array([_PLACE, _PLACE, _LOG_HEIGHT])
 # Placing and finding are repeated until the camera moves less than so far, in its priors' units.
 _ROUNDS, _STILL = 6, 0.02
-# What is found hangs on where that began, as cameras aside on one line are hardly told apart [m].
-_STARTS = [(right, up) for right in (-0.1, 0.0, 0.1) for up in (-0.1, 0.0, 0.1)]
 # Where the search begins, about the last camera.
 _SIMPLEX = np.vstack([np.zeros(3), np.diag([0.08, 0.08, -0.3])])
 
@@ -62,7 +61,20 @@ class OverheadCamera:
         return seen_from(arc_length, nodes, self.below(photograph), self.height)
 
 
-def find_camera(photographs: Sequence[LaidPhotograph], rods: Sequence[LaidRod]) -> OverheadCamera:
+# What is found hangs on where that began, as cameras aside on one line are hardly told apart.
+_STARTS = [OverheadCamera(x, y, _HEIGHT) for x in (-0.1, 0.0, 0.1) for y in (-0.1, 0.0, 0.1)]
+
+
+def begin(photograph: LaidPhotograph, rod: LaidRod) -> tuple[_Tail | None, ...]:
+    """What tells of the camera in one picture, by every camera that a search begins at."""
+    return tuple(_Tail.of(photograph, rod, camera) for camera in _STARTS)
+
+
+def find_camera(
+    photographs: Sequence[LaidPhotograph],
+    rods: Sequence[LaidRod],
+    begun: Sequence[tuple[_Tail | None, ...]] | None = None,
+) -> OverheadCamera:
     """The camera that brings predicted rods nearest to what is seen hanging.
 
     Every picture is first placed by one rigid motion, then the sum over pictures of the mean
@@ -71,60 +83,65 @@ def find_camera(photographs: Sequence[LaidPhotograph], rods: Sequence[LaidRod]) 
 
     Args:
         photographs: of laid rods; rods: where a simulation lays each.
+        begun: of each, what `begin` returns, where several cameras are found in the same pictures.
 
     Raises:
         DataError: photographs and rods differ in number, or no point hangs in any picture.
     """
     if len(photographs) != len(rods):
         raise DataError(f"{len(photographs)} photographs and {len(rods)} rods; give one rod each")
-    seen: list[tuple[float, OverheadCamera]] = []
-
-    def at(camera: OverheadCamera) -> Callable[[np.ndarray], float]:
-        """What is to be made least, with every picture placed as this camera shows the rods."""
-        tails = [
-            tail
-            for p, one in zip(photographs, rods, strict=True)
-            if one.reached and (tail := _Tail.of(p, one, camera)) is not None
-        ]
-        if not tails:
-            raise DataError("nothing hangs in any photograph, so nothing tells of the camera")
-
-        def cost(x: np.ndarray) -> float:
-            far = sum(
-                t.weight * t.miss(OverheadCamera(x[0], x[1], float(np.exp(x[2])))) for t in tails
-            )
-            off = x / _PRIOR - [0.0, 0.0, np.log(_HEIGHT) / _LOG_HEIGHT]
-            return far + _WORTH * float(off @ off)
-
-        seen.append((cost(_vector(camera)), camera))
-        return cost
-
-    for right, up in _STARTS:
-        at(OverheadCamera(right, up, _HEIGHT))
-    camera = _best(seen)
+    pairs = list(zip(photographs, rods, strict=True))
+    if begun is None:
+        begun = [begin(*pair) for pair in pairs]
+    seen = [_Round.of(camera, [own[k] for own in begun]) for k, camera in enumerate(_STARTS)]
+    last = min(seen, key=lambda one: one.least)
     for _ in range(_ROUNDS):
         # Which place of the rod is nearest changes by jumps: no derivatives.
+        before = _vector(last.camera)
         found = minimize(
-            at(camera),
-            _vector(camera),
-            method="Nelder-Mead",
+            last.cost, before, method="Nelder-Mead",
             options={"xatol": 1e-3, "fatol": 1e-6, "maxfev": 200,
-                     "initial_simplex": _vector(camera) + _SIMPLEX},
+                     "initial_simplex": before + _SIMPLEX},
         ).x  # fmt: skip
-        still = np.abs((found - _vector(camera)) / _PRIOR).max() < _STILL
-        camera = OverheadCamera(float(found[0]), float(found[1]), float(np.exp(found[2])))
-        if still:
+        camera = _camera(found)
+        last = _Round.of(camera, [_Tail.of(*pair, camera) for pair in pairs])
+        seen.append(last)
+        if np.abs((found - before) / _PRIOR).max() < _STILL:
             break
-    at(camera)
-    return _best(seen)
+    return min(seen, key=lambda one: one.least).camera
 
 
-def _best(seen: list[tuple[float, OverheadCamera]]) -> OverheadCamera:
-    return min(seen, key=lambda one: one[0])[1]
+def _camera(x: np.ndarray) -> OverheadCamera:
+    return OverheadCamera(float(x[0]), float(x[1]), float(np.exp(x[2])))
 
 
 def _vector(camera: OverheadCamera) -> np.ndarray:
     return np.array([camera.right, camera.up, np.log(camera.height)])
+
+
+@dataclass(frozen=True)
+class _Round:
+    """A camera, and the pictures' hanging points, placed as it shows the rods."""
+
+    camera: OverheadCamera
+    tails: list[_Tail]
+
+    @classmethod
+    def of(cls, camera: OverheadCamera, tails: Sequence[_Tail | None]) -> _Round:
+        heard = [tail for tail in tails if tail is not None]
+        if not heard:
+            raise DataError("nothing hangs in any photograph, so nothing tells of the camera")
+        return cls(camera, heard)
+
+    def cost(self, x: np.ndarray) -> float:
+        """What is to be made least, of another camera while the pictures stay."""
+        far = sum(tail.weight * tail.miss(_camera(x)) for tail in self.tails)
+        off = x / _PRIOR - [0.0, 0.0, np.log(_HEIGHT) / _LOG_HEIGHT]
+        return far + _WORTH * float(off @ off)
+
+    @cached_property
+    def least(self) -> float:
+        return self.cost(_vector(self.camera))
 
 
 @dataclass(frozen=True)
@@ -139,6 +156,8 @@ class _Tail:
 
     @classmethod
     def of(cls, photograph: LaidPhotograph, rod: LaidRod, camera: OverheadCamera) -> _Tail | None:
+        if not rod.reached:
+            return None
         placed = rigid(photograph, camera.view(photograph, rod.arc_length, rod.nodes))
         count = int(np.ptp(rod.arc_length) / 1e-3) + 2
         s = np.linspace(rod.arc_length[0], rod.arc_length[-1], count)
