@@ -146,12 +146,14 @@ def test_a_rod_hung_over_the_pattern_meanders_only_if_there_is_too_much_of_it():
     pattern = wrod.Pattern.from_expression("0*x", start=0.0, stop=0.42)
     rod = wrod.RodMaterial(1.6e-3, 0.018, 0.72)
     plan = plan_without_lead_in(pattern, rod, "intuitive")
-    scenarios = [Scenario(0.5, curvature=2.0, excess=excess) for excess in (-0.005, 0.02)]
-    little, much = lay(pattern, rod, plan, scenarios, speed=0.03)
+    scenarios = [
+        Scenario(0.5, curvature=2.0, excess=excess, speed=0.03) for excess in (-0.005, 0.02)
+    ]
+    little, much = lay(pattern, rod, plan, scenarios)
     assert little.reached and much.reached
     # Where it comes to lie does not hang on what is laid together with it.
-    (alone,) = lay(pattern, rod, plan, scenarios[1:], speed=0.03)
-    (by_itself,) = lay(pattern, rod, plan, scenarios[:1], speed=0.03)
+    (alone,) = lay(pattern, rod, plan, scenarios[1:])
+    (by_itself,) = lay(pattern, rod, plan, scenarios[:1])
     assert np.abs(alone.nodes - much.nodes).max() < 1e-9
     assert np.abs(by_itself.nodes - little.nodes).max() < 1e-9
 
@@ -326,7 +328,7 @@ def test_mechanisms_of_waves_are_in_the_rod_both_ways_round():
 
     every = {(one.cause, one.sense): one for one in mechanisms("rope", 9.0)}
     assert {sense for cause, sense in every if cause.startswith("hung")} == {"left", "right"}
-    rods = {key: one.rod("rope") for key, one in every.items()}
+    rods = {key: one.damped(wrod.rod("rope")) for key, one in every.items()}
     left, right = (rods["bends set in, in the plane", sense] for sense in ("left", "right"))
     s = np.linspace(0.0, left.length, 50)
     bends = left.natural_curvature[0](s)

@@ -69,6 +69,7 @@ def command(
         workers=workers,
     )
     drawn = None if nothing_fitted else 0 if quick else scenarios
+    looked = {} if short else _lay_all(photographs, laid, drawn)
     verdicts = judge(photographs, laid, drawn)
     figures: dict[str, Any] = {
         "machine": machine_line(device),
@@ -79,8 +80,9 @@ def command(
             for row, camera in zip(verdicts[0].rows, verdicts[0].cameras, strict=True)
         },
     }
-    written = [] if short else _add_predictions(figures, out, photographs, verdicts, laid, data)
-    summary = out / "photographs.json"
+    summary, written = out / "photographs.json", []
+    if not short:
+        written = _add_predictions(figures, summary, photographs, verdicts, laid, data, looked)
     write_json(summary, figures)
     figures["written"] = [str(path) for path in (*written, summary, laid.path)]
     lines = [left_out_table(verdicts)]
@@ -91,19 +93,41 @@ def command(
     tell(figures, *lines)
 
 
-def _add_predictions(figures: dict, out: Path, photographs, verdicts, laid, data: Path) -> list:
+def _lay_all(photographs, laid, drawn: int | None) -> dict:
+    """Lay what hangs on no verdict, at once: processes wait for the last of each lot. What is
+    looked at of the lines."""
+    from wrod.bench.photographs_deployments import scenarios_of, straight_held
+    from wrod.bench.photographs_waves import looked_at
+
+    looked = looked_at(photographs)
+    laid.prepare(
+        [
+            *((p, "int", scenarios_of(p.rod, drawn)) for p in photographs),
+            *((p, "opt", straight_held()) for p in photographs),
+            *(one for asked in looked.values() for one in asked.wanted),
+        ]
+    )
+    return looked
+
+
+def _add_predictions(
+    figures: dict, summary: Path, photographs, verdicts, laid, data: Path, looked: dict
+) -> list:
     """What the scenarios that were found foretell, added to the figures; the files written."""
     from wrod.bench.photographs_mode import modes
     from wrod.bench.photographs_plans import plans_in_scenarios_found, table3
     from wrod.bench.photographs_report import draw, draw_lines, write_predictions
     from wrod.bench.photographs_waves import waves
+    from wrod.files import write_json
 
+    out = summary.parent
     figures["predictions"], files = write_predictions(out, photographs, verdicts, laid, data)
     figures["table3"] = table3(photographs, laid)
     written = [*files, *draw(out, photographs, verdicts)]
     written += draw_lines(out, photographs, verdicts, laid)
     figures["mode"], files = modes(photographs, out)
     written += files
-    figures["waves"], files = waves(photographs, verdicts, laid, out)
-    figures["plans"] = plans_in_scenarios_found(photographs, verdicts, laid)  # the dearest
+    figures["waves"], files = waves(looked, verdicts[0].camera, laid, out)
+    write_json(summary, figures)  # plans take minutes
+    figures["plans"] = plans_in_scenarios_found(photographs, verdicts, laid)
     return [*written, *files]

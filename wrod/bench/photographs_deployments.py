@@ -1,7 +1,9 @@
 """Deployments of `wrod bench photographs`: each simulated once, kept in a file, over processes."""
 
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from scipy.stats import norm, qmc
@@ -94,6 +96,9 @@ def believed_scenario(rod: str) -> str:
 
 
 KEYS = ("method", "rod", "pattern", "scenario")
+# A photograph, "int" or "opt", and scenarios by name.
+Wanted = tuple[LaidPhotograph, str, Mapping[str, Scenario]]
+_Scenario = TypeVar("_Scenario", bound=Scenario)
 _PLANS = {"int": "intuitive", "opt": "numeric"}
 # Scenarios laid together by one process.
 _TOGETHER = 16
@@ -111,7 +116,7 @@ class Deployments:
         self._options = {"discretisation": self.mesh, "device": device, "threads": threads}
 
     def of(
-        self, photograph: LaidPhotograph, method: str, scenarios: dict[str, Scenario]
+        self, photograph: LaidPhotograph, method: str, scenarios: Mapping[str, Scenario]
     ) -> dict[str, LaidRod]:
         """{scenario's name: LaidRod} along a photograph's pattern."""
         self.prepare([(photograph, method, scenarios)])
@@ -123,20 +128,22 @@ class Deployments:
             for row in self._ledger.of([(*head, name) for name in scenarios])
         }
 
-    def prepare(self, wanted: list[tuple[LaidPhotograph, str, dict[str, Scenario]]]) -> None:
+    def prepare(self, wanted: Sequence[Wanted]) -> None:
         """Lay what is not in the file yet of (photograph, method, scenarios), over the processes;
         scenarios that begin alike are laid together."""
         jobs = []
         for photograph, method, scenarios in wanted:
             head = (method, photograph.rod, photograph.pattern_name)
-            lacking = [key[-1] for key in self._ledger.lacking((*head, n) for n in scenarios)]
-            for held in (True, False):
-                own = [(n, self.damped(scenarios[n])) for n in lacking]
-                batch = [(name, one) for name, one in own if one.held is held]
-                jobs += [
-                    (photograph, method, dict(batch[k : k + _TOGETHER]), self._options)
-                    for k in range(0, len(batch), _TOGETHER)
-                ]
+            batches: dict[tuple, list] = {}
+            for *_, name in self._ledger.lacking((*head, n) for n in scenarios):
+                batches.setdefault(scenarios[name].alike, []).append(
+                    (name, self.damped(scenarios[name]))
+                )
+            jobs += [
+                (photograph, method, dict(batch[k : k + _TOGETHER]), self._options)
+                for batch in batches.values()
+                for k in range(0, len(batch), _TOGETHER)
+            ]
         if not jobs:
             return
         count = sum(len(scenarios) for _, _, scenarios, _ in jobs)
@@ -150,7 +157,7 @@ class Deployments:
         for _, rows in cost.progress_bar(ended, total=len(jobs), desc="deployments"):
             self._ledger.add(rows)
 
-    def damped(self, scenario: Scenario) -> Scenario:
+    def damped(self, scenario: _Scenario) -> _Scenario:
         """As rods are damped here."""
         return replace(scenario, damping=self.damping)
 
@@ -179,7 +186,7 @@ def _lay(
             "rod": photograph.rod,
             "pattern": photograph.pattern_name,
             "scenario": name,
-            "parameters": asdict(scenario),
+            "parameters": scenario.as_dict(),
             "arc_length": np.round(one.arc_length, 7).tolist(),
             "nodes": np.round(one.nodes, 7).tolist(),
             "reached": bool(one.reached),

@@ -26,8 +26,9 @@ from wrod.solvers.friction import Friction
 
 # Length of the free end that is held along the pattern, where it is held [m].
 HELD = 0.05
-# Of the contact [m/s].
+# Of the contact [m/s]; what is laid faster sways, and is followed by shorter steps [s].
 SPEED = 0.02
+_SWAYS, _SWAYING_STEP = 0.05, 0.0125
 _MESH = Discretisation(spacing=0.01, step=0.025)
 # The grip rests for so long before it would let go, in the deployment's schedule [s].
 _RESTING = 0.45
@@ -48,6 +49,7 @@ class Scenario:
         held: whether the first 5 cm are held along the pattern until 1 L_gb more is laid; otherwise
             the rod hangs straight above the pattern's first point and its free end is let go.
         damping: Kelvin-Voigt time of the rod's material [s]; None: as deployments take it.
+        speed: of laying [m/s].
     """
 
     friction: float = 0.4
@@ -58,6 +60,12 @@ class Scenario:
     radius_ratio: float = 1.0
     held: bool = False
     damping: float | None = None
+    speed: float = SPEED
+
+    @property
+    def alike(self) -> tuple:
+        """Only scenarios that agree in this are laid together."""
+        return self.held, self.speed
 
     def rod(self, believed: RodMaterial) -> RodMaterial:
         """The rod as it is in this scenario."""
@@ -76,7 +84,15 @@ class Scenario:
         """The same rod with its internal damping."""
         return replace(RodModel.of(self.rod(believed)), internal_damping=self.damping)
 
-    def as_dict(self) -> dict[str, float | bool]:
+    def trial(self, pattern: Pattern, believed: RodMaterial, trajectory: Trajectory) -> Trial:
+        """Of a plan that knows none of this. Nothing is laid after the pattern: what photographs
+        show was laid before."""
+        return Trial(
+            pattern, self.damped(believed), trajectory, Friction(self.friction),
+            tail=Tail.none(trajectory), another_rod=True,
+        )  # fmt: skip
+
+    def as_dict(self) -> dict[str, Any]:
         return asdict(self)
 
 
@@ -128,7 +144,6 @@ def lay(
     scenarios: Sequence[Scenario],
     *,
     discretisation: Discretisation = _MESH,
-    speed: float = SPEED,
     device: str = "cpu",
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
@@ -138,28 +153,25 @@ def lay(
     Args:
         pattern, believed, trajectory: what was planned.
         scenarios: what is true.
-        discretisation, speed, device, threads, progress: as `wrod.simulate_deployments` takes
-            them.
+        discretisation, device, threads, progress: as `wrod.simulate_deployments` takes them.
 
     Raises:
-        DataError: scenarios are mixed in how the free end begins.
+        DataError: scenarios are mixed in how the free end begins, or in speed.
     """
-    if len({scenario.held for scenario in scenarios}) > 1:
-        raise DataError("scenarios differ in whether the free end is held; lay them in two calls")
+    if len({scenario.alike for scenario in scenarios}) > 1:
+        raise DataError(
+            "scenarios differ in whether the free end is held, or in speed; lay them in two calls"
+        )
     if not scenarios:
         return []
-    # Nothing is laid after the pattern: what the photographs show was laid before.
-    end = Tail.none(trajectory)
-    trials = [
-        Trial(pattern, scenario.damped(believed), trajectory, Friction(scenario.friction), tail=end,
-              another_rod=True)
-        for scenario in scenarios
-    ]  # fmt: skip
+    first, mesh = scenarios[0], own_mesh(discretisation, pattern, believed, trajectory)
+    if first.speed > _SWAYS:
+        mesh = replace(mesh, step=min(_SWAYING_STEP, mesh.step))
     laid = simulate_deployments(
-        trials,
-        **begun(scenarios[0].held, believed),
-        discretisation=own_mesh(discretisation, pattern, believed, trajectory),
-        speed=speed,
+        [scenario.trial(pattern, believed, trajectory) for scenario in scenarios],
+        **begun(first.held, believed),
+        discretisation=mesh,
+        speed=first.speed,
         device=device,
         threads=threads,
         progress=progress,
