@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 from chosen import DEVICE
 from scipy.spatial.transform import Rotation
-from test_newton_gradients import STATE, agree, f64, of_node, put, rounding_of, vec3d
+from test_newton_gradients import STATE, Differenced, f64, of_node, put, rounding_of, vec3d
 
 import wrod
 from wrod.newton_solver.gradients import PROPERTIES
@@ -53,9 +53,9 @@ def measure(
     wp.atomic_add(loss, 0, x)
 
 
-class Scene:
+class Scene(Differenced):
     """A rod that a free body with an eccentric centre of mass holds: by its start, its end, and at
-    its middle. Runs share a solver until what it was made of has changed."""
+    its middle. Runs without a tape share a solver, which is told of what has changed."""
 
     steps = 5
     dt = 0.01
@@ -115,7 +115,13 @@ class Scene:
                 values = array.numpy()
                 values[self.body] = start[name]
                 array.assign(values)
-        solver = self.solver = self.solver or SolverDER(self.model, **self.options)
+        if tape is not None or self.solver is None:
+            solver = SolverDER(self.model, **self.options)
+        else:
+            solver = self.solver
+            solver.notify_model_changed(self.changed)
+        if tape is None:
+            self.solver, self.changed = solver, 0
         loss = wp.zeros(1, dtype=f64, device=DEVICE, requires_grad=True)
         of_body = wp.array(WEIGHTS, dtype=f64, device=DEVICE)
         with contextlib.nullcontext() if tape is None else tape:
@@ -161,22 +167,6 @@ class Scene:
             out["tray"] = np.stack([way.grad.numpy()[0].astype(float) for way in self.ways])
         return out
 
-    def agrees(self, found, name, way, size, allowance):
-        """A derivative along a way with differences."""
-        model = self.model
-
-        def at(k):
-            if name in self.start:
-                return self.run(**{name: self.start[name] + k * size * way})[0]
-            array = model.gravity if name == "gravity" else getattr(model.der, name)
-            value, self.solver = array.numpy().copy(), None
-            array.assign((value + k * size * way).astype(value.dtype))
-            found, self.solver = self.run()[0], None
-            array.assign(value)
-            return found
-
-        agree(found, at, size, allowance, name)
-
 
 @pytest.mark.parametrize(
     ("holds", "options"),
@@ -191,13 +181,15 @@ def test_gradients_through_a_free_body(holds, options):
     """Of a loss on the last state of rod and body, by all that the first held, by forces on the
     body, by every property and gravity, within 1e-6; what is of single precision, within 1e-7 of
     its parts."""
-    agrees(Scene(holds, **options), EXACT)
+    agrees(Scene(holds, **options), EXACT, together=False)
 
 
-def agrees(scene, exact, little=(), without=()):
-    """Derivatives with differences, by steps of `exact` where those are of single precision."""
+def agrees(scene, exact, little=(), without=(), together=True):
+    """Derivatives with differences, by steps of `exact` where those are of single precision; of
+    properties one by one or `together`."""
     found = {k: g for k, g in scene.gradients().items() if k not in without}
     rounding = rounding_of(scene)
+    total, all_ways = 0.0, {}
     assert set(found) >= {*STATE, *BODY, "gravity", "node_bending_stiffness"}
     for name, gradient in found.items():
         rng, size = np.random.default_rng(list(name.encode())), exact.get(name, 5e-5)
@@ -212,9 +204,14 @@ def agrees(scene, exact, little=(), without=()):
         if name in [*LITTLE, *little]:
             way *= 30.0
         parts = gradient * way
+        if together and name in PROPERTIES:
+            total, all_ways[name] = total + parts.sum() * size, way * size
+            continue
         # Of poses on the way, what each end of a step wants is added up in single precision.
         single = {"tray": 2e-7}.get(name, 1e-7) * np.abs(parts).sum() if name in EXACT else 0.0
-        scene.agrees(parts.sum(), name, way, size, rounding / size + single)
+        scene.agrees(parts.sum(), {name: way}, size, rounding / size + single)
+    if together:
+        scene.agrees(total, all_ways, 1.0, rounding)
 
 
 class Dragged(Scene):
@@ -416,14 +413,8 @@ def test_gradients_through_what_is_moved_against_a_body(friction, options):
 
 
 def agrees_by_friction(scene):
-    slope = scene.model.shape_material_mu.grad.numpy().astype(float)
-    mu, size = scene.model.shape_material_mu.numpy().copy(), 2.0**-14
-
-    def at(k):
-        scene.model.shape_material_mu.assign(mu + np.float32(k * size))
-        scene.solver = None
-        return scene.run()[0]
-
-    if mu.any():
-        agree(slope.sum(), at, size, 1e-9)
+    mu = scene.model.shape_material_mu
+    slope = mu.grad.numpy().astype(float)
+    if mu.numpy().any():
+        scene.agrees(slope.sum(), {"friction": np.ones_like(slope)}, 2.0**-14, 1e-9)
     return slope

@@ -311,10 +311,14 @@ class GroupGradients:
 
 
 class Gradients:
-    """Puts the steps of a solver on tapes."""
+    """Puts the steps of a solver on tapes.
+
+    Attributes:
+        listened: whether any has been put on one.
+    """
 
     def __init__(self, model: newton.Model, groups: list[RodGroup]):
-        self.model = model
+        self.model, self.listened = model, False
         self._groups = [GroupGradients(group) for group in groups]
 
     def listen(
@@ -332,6 +336,7 @@ class Gradients:
                 group.rest()
             return None
         before, after = StepEnd.of(state_in, moved), StepEnd.of(state_out)
+        self.listened = True
         for group in self._groups:
             group.listen(parts)
         director = wp.clone(state_in.der.edge_director, requires_grad=False)

@@ -367,7 +367,7 @@ class SolverDER(OnDevice, RodBuilding, SolverBase):
         anew = flags & int(newton.ModelFlags.SHAPE_TYPE_AND_SOURCE) != 0
         if flags & self.ROD_PROPERTIES:
             # Steps on a tape go back through what they were taken with.
-            anew |= self.model.requires_grad
+            anew |= self._gradients is not None and self._gradients.listened
             anew = anew or not all([group.refresh_elasticity() for group in self._groups])
         if anew:
             self._build()
