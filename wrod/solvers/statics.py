@@ -20,6 +20,8 @@ _STEP_LIMIT = 0.5
 _INDICES = arguments.indices
 _SMALLEST_FRACTION = 1e-4
 _SMALLEST_PROGRESS = 1e-3
+# Rounds of launches that a solver makes before it records one, which costs about as much.
+_LAUNCHED = 16
 # Shifts of a matrix, and halvings of a step, that are tried: more than can be.
 _MOST_SHIFTS, _MOST_HALVINGS = 30, 30
 
@@ -75,6 +77,7 @@ class EquilibriumSolver:
             wp.zeros(1, dtype=wp.int32, device=device) for _ in range(4)
         )
         self._recorded: dict[tuple[int, bool], wp.Graph | None] = {}
+        self._made = 0  # rounds of launches, before the first recording
         self._launched = batch.launched
 
     def _measure(self) -> None:
@@ -185,8 +188,8 @@ class EquilibriumSolver:
     def _iterate(self, max_iterations: int, search: bool) -> np.ndarray:
         """Newton on the active rods until each has converged or stopped; iterations per rod.
 
-        A CPU replays what it has launched once, which compiles the kernels: most of the time would
-        go into making launches."""
+        A CPU replays what it has launched before, which compiles the kernels: most of the time of
+        a long solution would go into making launches, and of a short one into recording them."""
         self.converged.zero_()
         self.system.shift.zero_()
         self.iterations.zero_()
@@ -203,10 +206,12 @@ class EquilibriumSolver:
         key, device = (max_iterations, search), wp.get_device(self.batch.device)
         graph = self._recorded.get(key)
         if graph is None and device.is_cpu:
-            self._look(max_iterations)
-            if not self._goes_on.numpy()[0]:
-                return self.iterations.numpy().astype(np.int64)
-            self._correct(search)
+            for _ in range(max(_LAUNCHED - self._made, 1)):
+                self._look(max_iterations)
+                if not self._goes_on.numpy()[0]:
+                    return self.iterations.numpy().astype(np.int64)
+                self._correct(search)
+                self._made += 1
             graph = record(self.batch.device, take_rounds)
             self._recorded[key] = graph  # none beside threads that may launch
         if graph is None:

@@ -139,7 +139,8 @@ class MotionRun:
         if tangents:
             tangents.set_velocity(h)
         self._observe(batch.every_rod)
-        dynamics.keeps_recording = True
+        # Of several substeps the first step, as long as a frame, is taken once.
+        dynamics.keeps_recording = self.substeps == 1
         # The first step is central: it spans a frame, as the difference of the first two does.
         self._go_to(2 * self.substeps, h)
         now = batch.state.dof.numpy().copy()
@@ -147,8 +148,7 @@ class MotionRun:
         dynamics.velocity_older.assign((now - earlier) / (2.0 * h))
         if tangents:
             tangents.centre(h)
-        if self.substeps > 1:  # what was recorded takes steps as long as a frame
-            dynamics.forget_recording()
+        dynamics.keeps_recording = True
         while self.taken < self.last and not dynamics.is_recorded:
             self._go_to(self.taken + 1, h / self.substeps)
 
