@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.optimize import minimize
 
 import wrod
 from wrod.bench.held import held
@@ -122,14 +123,74 @@ def test_where_the_robot_stands_bounds_what_a_plan_can_do(tmp_path, kinds):
 
 
 @pytest.mark.parametrize(
-    "name, friction, error",
-    [("letter-A", 0.4, 9.1e-5), ("letter-A", 0.2, 8.76e-4), ("letter-L", 0.2, 7.61e-4)],
+    "height, friction, edges, apart",
+    [(0.2, 0.3, 4, 1e-3), (0.5, 0.2, 4, 1e-3), (0.2, 0.3, 6, 0.02)],
 )
-def test_the_nearest_curve_that_friction_holds_is_that_of_another_solver(name, friction, error):
-    """Of IPOPT, with curvature, shear and tension as unknowns, on edges of L_gb / 8."""
-    pattern, rod = wrod.pattern(name), wrod.rod("green-vps")
-    s, place = held(pattern, rod, friction)
-    assert errors_along(pattern, s, place)[1].mean() == pytest.approx(error, rel=0.06)
+def test_the_nearest_curve_that_friction_holds_is_found_by_what_holds_it(
+    height, friction, edges, apart
+):
+    """Friction on every node instead of angles and tensions: a curve follows from its beginning,
+    and its bounds are no longer the curve's. On the same mesh, and on another."""
+    rod = wrod.rod("green-vps")
+    lgb = rod.gravito_bending_length
+    x = np.linspace(0.0, 4.0, 300)
+    pattern = wrod.Pattern.from_points(lgb * np.column_stack([x, height * np.sin(1.5 * x)]))
+    n = int(np.ceil(edges * pattern.length / lgb))
+    s = np.linspace(0.0, pattern.length / lgb, n + 1)
+    h, lengths = s[1], np.r_[0.5, np.ones(n - 1)] * s[1]
+    at = np.linspace(0.0, s[-1], 50)
+    edge = np.minimum((at / h).astype(int), n - 1)
+    part, target = (at / h - edge)[:, None], pattern.sample(lgb * at)[0][:, :2] / lgb
+
+    def laid(many):
+        """(m, n + 1, 2) curves under friction (n, 2), a first angle and place, in (m, 2 n + 3)."""
+        force = -np.cumsum(many[:, : 2 * n].reshape(-1, n, 2) * lengths[:, None], axis=1)
+        angle, moment, nodes = many[:, -3].copy(), np.zeros(len(many)), [many[:, -2:]]
+        for k in range(n):
+            along = np.column_stack([np.cos(angle), np.sin(angle)])
+            nodes.append(nodes[-1] + h * along)
+            moment -= h * (along[:, 0] * force[:, k, 1] - along[:, 1] * force[:, k, 0])
+            angle += h * moment
+        return np.stack(nodes, axis=1)
+
+    def far(many):
+        place = laid(many)
+        off = place[:, edge] * (1.0 - part) + place[:, edge + 1] * part - target
+        return np.sqrt((off**2).sum(axis=-1) + 1e-6).mean(axis=-1)
+
+    def slope(one):
+        by = 1e-6 * np.eye(len(one))
+        return (far(one + by) - far(one - by)) / 2e-6
+
+    def room(one, bound):
+        return 1.0 - (one[: 2 * n].reshape(n, 2) ** 2).sum(axis=1) / bound**2
+
+    def room_slope(one, bound):
+        rates = np.zeros((n, len(one)))
+        for k in range(n):
+            rates[k, 2 * k : 2 * k + 2] = -2.0 * one[2 * k : 2 * k + 2] / bound**2
+        return rates
+
+    # What holds the pattern itself, without tension.
+    way = pattern.sample(0.5 * lgb * (s[1:] + s[:-1]))[1]
+    angle = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
+    shear = -np.diff(np.r_[0.0, np.diff(angle), angle[-1] - angle[-2]]) / h**2
+    force = shear[:, None] * np.column_stack([-np.sin(angle), np.cos(angle)])
+    holds = -np.diff(force, axis=0, prepend=0.0) / lengths[:, None]
+    one, bound = np.r_[holds.ravel(), angle[0], 0.0, 0.0], np.linalg.norm(holds, axis=1).max()
+    while bound > friction:
+        bound = max(friction, 0.7 * bound)
+        found = minimize(
+            lambda v: far(v[None])[0], one, jac=slope, method="SLSQP",
+            constraints={"type": "ineq", "fun": room, "jac": room_slope, "args": (bound,)},
+            options={"ftol": 1e-7, "maxiter": 1000},
+        )  # fmt: skip
+        assert found.success
+        one = found.x
+    place = lgb * laid(one[None])[0]
+    other = errors_along(pattern, lgb * s, np.column_stack([place, np.zeros(n + 1)]))[1].mean()
+    mine = errors_along(pattern, *held(pattern, rod, friction))[1].mean()
+    assert mine == pytest.approx(other, rel=apart)
 
 
 def arc(angle, name="arc"):

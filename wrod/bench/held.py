@@ -17,8 +17,9 @@ from wrod.rods.model import Rod
 
 # Edges a length L_gb.
 _EDGES = 4
-# Distances are smoothed below this [L_gb]; what they change by at last, and steps at most.
-_NEAR, _DONE, _STEPS = 1e-3, 1e-6, 2000
+# Distances are smoothed below this [L_gb]; what they change by at last; and after how many steps
+# what is known of second derivatives is forgotten, as often at most.
+_NEAR, _DONE, _STEPS, _TIMES = 1e-3, 1e-6, 300, 10
 # Of the friction that a curve asks for, that which the next one may; by how much it may miss it.
 _FALLS, _MISSES = 0.7, 1e-5
 
@@ -52,13 +53,16 @@ def held(pattern: Pattern, rod: Rod, friction: float) -> tuple[np.ndarray, np.nd
     bound = np.inf
     while bound > friction:
         bound = max(friction, _FALLS * problem.asked(values))
-        found = minimize(
-            problem.distance, values, jac=True, method="SLSQP",
-            constraints={"type": "ineq", "fun": problem.room, "jac": problem.room_slope,
-                         "args": (bound,)},
-            options={"ftol": _DONE, "maxiter": _STEPS},
-        )  # fmt: skip
-        values = found.x
+        for _ in range(_TIMES):
+            found = minimize(
+                problem.distance, values, jac=True, method="SLSQP",
+                constraints={"type": "ineq", "fun": problem.room, "jac": problem.room_slope,
+                             "args": (bound,)},
+                options={"ftol": _DONE, "maxiter": _STEPS},
+            )  # fmt: skip
+            values = found.x
+            if found.success:
+                break
         if not found.success or problem.asked(values) > (1.0 + _MISSES) * bound:
             raise RodError(
                 f"no curve near {pattern.source} that friction {friction:g} holds was found; "
