@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import os
 import shutil
 import subprocess
 import time
@@ -39,9 +40,11 @@ class Browser:
             "--window-size=800,600", "--remote-debugging-port=0", f"--user-data-dir={folder}",
             page.as_uri(),
         ]  # fmt: skip
+        # Its language is then none that JavaScript takes, as on many machines without a screen.
         self._process = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            env=os.environ | {"LANG": "C", "LC_ALL": "C"},
+        )  # fmt: skip
         self._port = folder / "DevToolsActivePort"
 
     def __enter__(self) -> Browser:

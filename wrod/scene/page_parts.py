@@ -18,12 +18,17 @@ _LIES = 1e-3  # [m] above the contact points, what is lower lies
 # Viser's page has no name, and cuts off both sides where it is high and narrow, as on a phone.
 _HEAD = "<title>Viser</title>"
 _STYLE = "<style>#root {height: min(100vh, 160vw) !important}</style>"
+# Nor does it begin where the browser's language is none, as "en-US@posix" of a machine without one.
+_LANGUAGE = (
+    "<script>try{new Intl.Locale(navigator.language)}catch{Object.defineProperty("
+    "Navigator.prototype,'language',{get:()=>'en'})}</script>"
+)
 _GREY, _LEG, _ROD = (115, 115, 122), (77, 79, 84), (20, 150, 60)
 
 
 def named(page: str, name: str) -> str:
-    """Viser's page under a name, and fit for a phone."""
-    return page.replace(_HEAD, f"<title>{escape(name)}</title>{_STYLE}", 1)
+    """Viser's page under a name, fit for a phone and for a browser without a language."""
+    return page.replace(_HEAD, f"<title>{escape(name)}</title>{_STYLE}{_LANGUAGE}", 1)
 
 
 def pose_of(matrix: np.ndarray) -> dict:
