@@ -132,23 +132,20 @@ def test_every_closure_converges_wherever_inputs_are_allowed(closure):
 
 
 def least(closure, force):
-    """What the grasps of a closure have least of, of forces at the contact. Not the ratio of those
-    of the least friction, which is not at rest there: it scatters as the thrust does."""
+    """What the grasps of a closure have least of, of forces at the contact."""
     if closure == "min_friction":
         return np.linalg.norm(force[:, :2], axis=1)
     return force[:, 2] if closure == "zero_tension" else np.linalg.norm(force, axis=1)
 
 
-@pytest.mark.parametrize(
-    ("closure", "part"), [("zero_tension", 1.0), ("min_force", 0.9), ("min_friction", 0.75)]
-)
-def test_wires_are_near_the_inextensible_limit(closure, part):
+@pytest.mark.parametrize("shaken", [0.0, 1e-13])
+@pytest.mark.parametrize("closure", ["zero_tension", "min_force", "min_friction"])
+def test_wires_are_near_the_inextensible_limit(closure, shaken):
     """What a rod stretches is of first order in 1 / k_s, so that softer rods predict wires (1.5e6
-    for a guide wire, 2.6e6 for nitinol of 0.5 mm). Where an optimum is flat, a change of inputs in
-    their 13th digit moves a wire's grip by 3e-5 or two devices differ by it, and by 2e-9 what it
-    has least of: this is told, and where most grips are; no other closure has less of it."""
+    for a guide wire, 2.6e6 for nitinol of 0.5 mm). Rounding moves a wire's grip by 1e-8 where an
+    optimum is flat; no other closure has less of what one has least of."""
     rng = np.random.default_rng(7)
-    ls, kappa = rng.uniform(2.0, 20.0, 40), rng.uniform(-2.0, 2.0, 40)
+    ls, kappa = rng.uniform(2.0, 20.0, 40) * (1.0 + shaken), rng.uniform(-2.0, 2.0, 40)
     soft, stiff, wire = (
         solve_grasps(ls, kappa, k, closure=closure, shapes=False) for k in (1e5, 1e6, 1e7)
     )
@@ -159,10 +156,11 @@ def test_wires_are_near_the_inextensible_limit(closure, part):
         expected = b - (a - b) * (1e-6 - 1e-7) / (1e-5 - 1e-6)
         return np.abs(c - expected)
 
-    for name in ("position", "rotation"):
-        assert np.quantile(off(name).max(axis=1), part) < 1e-7
+    for name in ("position", "rotation", "force"):
+        assert off(name).max() < 1e-6
+        assert np.quantile(off(name).max(axis=1), 0.95) < 1e-7
         assert np.median(off(name)) < 1e-9
-    assert off("force", lambda force: least(closure, force)).max() < 1e-8
+    assert off("force", lambda force: least(closure, force)).max() < 1e-9
     if closure != "zero_tension":
         for other in ("zero_tension", "min_force", "min_friction"):
             force = solve_grasps(ls, kappa, 1e7, closure=other, shapes=False).force

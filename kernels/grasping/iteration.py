@@ -29,7 +29,8 @@ AT_TARGET = wp.constant(wp.float64(5.0e-3))
 # Change of the force that no longer matters, and its part of what rounding leaves out of balance.
 FORCE_DONE = wp.constant(wp.float64(1.0e-12))
 FORCE_ROUNDING = wp.constant(wp.float64(1.0e-5))
-# After a longer way along the family the slope is of what is out of balance, and small by luck.
+# After a longer way along the family the slope is of what is out of balance, and small by luck; so
+# it is where the rod holds.
 STILL = wp.constant(wp.float64(3.0e-7))
 # A slope that has been refined so often is as good as it gets.
 MOST_REFINED = wp.constant(8)
@@ -230,7 +231,8 @@ def make_solver(size: int):
                     w, scratch, slot, edges, d, turn, v, task.closure, task.weight[r],
                     task.tolerance[r],
                 )  # fmt: skip
-            settled = at_target and wp.abs(w.moved) <= STILL + wp.float64(100.0) * task.force_done
+            settled = at_target and w.holds == 0
+            settled = settled and wp.abs(w.moved) <= STILL + wp.float64(100.0) * task.force_done
             settled = settled and (wp.abs(change) <= force_done or w.refined > MOST_REFINED)
             lost = not wp.isfinite(w.worst) or w.waited > task.patience
             found = balanced and settled and w.worst <= task.tolerance[r]

@@ -14,8 +14,11 @@ from wrod.kernels.grasping.reading import Level
 from wrod.kernels.grasping.scratch import Scratch
 from wrod.kernels.linear.frontal import make_elimination
 
-# Slope that an imbalance may feign, over the imbalance and the force.
-FEIGNED = wp.constant(wp.float64(6.0))
+# Slope that an imbalance may feign, over the imbalance and the force: 6 was met. What a way along
+# the family leaves out of balance, by its square, is more than rounding where it is more than this
+# part of what rounding could leave at most.
+FEIGNED = wp.constant(wp.float64(12.0))
+ROUNDED = wp.constant(wp.float64(0.004))
 # So near to the closure's minimum rounding counts, over the imbalance that it leaves.
 NEAR = wp.constant(wp.float64(3.0))
 # Two grasps that are nearer are not compared; the doubt that a mesh's steepness leaves on the next.
@@ -195,7 +198,7 @@ def _family(size: int, walk: type) -> wp.Function:
     ) -> wp.float64:
         """The way along the family to the closure's minimum from where the Newton step `v` leads:
         the slope of what it makes small over the slope's derivative, by two grasps' secant. What is
-        out of balance, more than by `tolerance`, is in the slope too: where that may be all of it,
+        out of balance, more than rounding leaves, is in the slope too: where that may be all of it,
         the rod holds, for one step."""
         condensed = scratch.condensed
         rate = vector()
@@ -208,7 +211,8 @@ def _family(size: int, walk: type) -> wp.Function:
         way = counted(closure, rate_of_force(along, condensed, slot, direction))
         at_goal = w.place == w.goal
         slope = wp.abs(wp.dot(force, way)) / wp.length(way)
-        feigned = w.worst > tolerance and slope < FEIGNED * wp.length(force) * w.worst
+        feigned = w.worst > ROUNDED * tolerance
+        feigned = feigned and slope < FEIGNED * wp.length(force) * w.worst
         w.holds = wp.where(at_goal and feigned and w.holds == 0, 1, 0)
         near = at_goal and slope < NEAR * tolerance and w.holds == 0
         if near:
