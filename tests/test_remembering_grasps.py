@@ -10,6 +10,7 @@ from scipy.optimize import fsolve
 import wrod
 from wrod.errors import GraspError
 from wrod.grasps.mesh import WEIGHT
+from wrod.grasps.relaxed import solve_relaxed
 from wrod.rods.law import Dahl, Linear, Plastic
 from wrod.rods.model_file import rod_as_json
 
@@ -96,6 +97,27 @@ def test_a_wire_that_yields_early_is_found():
     wire = of_law(Plastic(8.0, 0.3))
     found = wrod.solve_rod_grasps(wire, contacts, 0.0, device="cpu", edge_count=32)
     assert found.converged.all()
+
+
+def test_where_a_bent_wire_cannot_hang_a_straighter_one_does():
+    knots = np.arange(0.0, ROD.length, 0.03)
+    bends = 45.0 * np.random.default_rng(2).uniform(-1.0, 1.0, (2, len(knots)))
+    wire = replace(
+        of_law(Plastic(10.0, 0.5)), natural_curvature=tuple(wrod.Profile(b, knots) for b in bends)
+    )
+    contacts, lines = np.linspace(0.1, 0.2, 40), np.zeros(40)
+    how = dict(held_roll=0.5 * np.pi, edge_count=32, device="cpu")
+    own = wrod.solve_rod_grasps(wire, contacts, lines, **how)
+    assert 4 < (~own.converged).sum() < 36
+    grasps, share = solve_relaxed(wire, contacts, lines, **how)
+    assert grasps.converged.all()
+    assert (share[~own.converged] < 1.0).all() and (share > 0.0).all()
+    # They are the same whether asked for with the share beforehand, and twice of it is too much.
+    known = wrod.solve_rod_grasps(wire, contacts, lines, natural_share=share, **how)
+    np.testing.assert_array_equal(known.position, grasps.position)
+    more = np.minimum(2.0 * share, 1.0)
+    more = wrod.solve_rod_grasps(wire, contacts, lines, natural_share=more, **how)
+    assert not more.converged[~own.converged].all()
 
 
 def test_contacts_of_a_rod_that_remembers_are_in_order():

@@ -6,7 +6,7 @@ that can hang there has a share of its natural curvature only; its grasp takes t
 place, and says so.
 """
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,9 @@ import numpy as np
 from wrod.grasps.rod_grasps import RodGrasps, solve_rod_grasps
 from wrod.rods.model import RodModel
 
-# The share is found to a 64th.
-_HALVINGS = 6
+# The share is found to a 64th; that of a rod that remembers to an eighth, at contacts that are so
+# far from each other at most [L_gb].
+_HALVINGS, _PARTS, _LOOKED = 6, 8, 0.05
 # It changes over so much of the rod [L_gb], so that the grip moves on smoothly.
 _REACH = 0.5
 # What a smooth share that still is too large loses at a time, and how often.
@@ -34,33 +35,53 @@ def solve_relaxed(
     held = np.broadcast_to(np.asarray(held_roll, dtype=np.float64), arc_length.shape)
 
     def solve(share: np.ndarray, rows: np.ndarray) -> RodGrasps:
-        # Of a rod that remembers, those between the rows count as well.
-        given = rows if model.law.at_rest is not None else every
-        found = solve_rod_grasps(
-            model, arc_length[given], curvature[given],
-            held_roll=held[given], natural_share=np.minimum(share[given], 1.0), **options,
+        return solve_rod_grasps(
+            model, arc_length[rows], curvature[rows],
+            held_roll=held[rows], natural_share=np.minimum(share[rows], 1.0), **options,
         )  # fmt: skip
-        return found if given is rows else _rows(found, rows)
 
     share, every = np.ones(len(arc_length)), np.arange(len(arc_length))
-    grasps = solve(share, every)
-    lacking = every[~grasps.converged]
-    if len(lacking) == 0 or model.is_straight:
-        return grasps, share
-    share[lacking] = 0.0
-    for step in 0.5 ** np.arange(1, _HALVINGS + 1):
-        tried = share + step
-        good = lacking[solve(tried, lacking).converged]
-        share[good] = tried[good]
-    share = _smooth_below(share, arc_length, _REACH * model.gravito_bending_length)
-    relaxed = every[share < 1.0]
-    for _ in range(_ATTEMPTS):
-        grasps = _joined(grasps, solve(share, relaxed), relaxed)
-        relaxed = every[~grasps.converged]
-        if len(relaxed) == 0:
+    lgb, remembers = model.gravito_bending_length, model.law.at_rest is None
+    looked = _spread_out(arc_length, _LOOKED * lgb) if remembers else every
+    grasps = solve(share, looked)
+    lacking = looked[~grasps.converged]
+    if len(lacking) > 0 and not model.is_straight:
+        share[lacking] = 0.0
+        if remembers:
+            # A share that jumped from contact to contact would bend what remembers it.
+            for tried in np.arange(_PARTS - 1, 0, -1) / _PARTS:
+                found = looked[solve(np.full_like(share, tried), looked).converged]
+                good = np.intersect1d(found, lacking)
+                share[good], lacking = tried, np.setdiff1d(lacking, good)
+                if len(lacking) == 0:
+                    break
+        else:
+            for step in 0.5 ** np.arange(1, _HALVINGS + 1):
+                tried = share + step
+                good = lacking[solve(tried, lacking).converged]
+                share[good] = tried[good]
+        share = np.interp(arc_length, arc_length[looked], share[looked])
+        share = _smooth_below(share, arc_length, _REACH * lgb)
+    rows = every if remembers else every[share < 1.0]
+    for _ in range(1 if model.is_straight else _ATTEMPTS):
+        if len(rows) == 0:
             break
-        share[relaxed] *= _LESS
+        found = solve(share, rows)
+        grasps = found if len(rows) == len(every) else _joined(grasps, found, rows)
+        lost = every[~grasps.converged]
+        share[lost] *= _LESS
+        rows = every if remembers and len(lost) > 0 else lost
     return grasps, share
+
+
+def _spread_out(at: np.ndarray, distance: float) -> np.ndarray:
+    """Rows of increasing places (n,), the first and the last of them, each the last one within
+    `distance` of the one before."""
+    rows = [0]
+    while rows[-1] < len(at) - 1:
+        next_one = np.searchsorted(at, at[rows[-1]] + distance, side="right") - 1
+        rows.append(max(int(next_one), rows[-1] + 1))
+    return np.array(rows)
 
 
 def _smooth_below(bound: np.ndarray, at: np.ndarray, reach: float) -> np.ndarray:
@@ -69,11 +90,6 @@ def _smooth_below(bound: np.ndarray, at: np.ndarray, reach: float) -> np.ndarray
     near = np.abs(at[:, None] - at) <= reach
     least = np.where(near, bound, np.inf).min(axis=1)
     return near @ least / near.sum(axis=1)
-
-
-def _rows(grasps: RodGrasps, rows: np.ndarray) -> RodGrasps:
-    arrays = {n: value[rows] for n, value in vars(grasps).items() if isinstance(value, np.ndarray)}
-    return replace(grasps, **arrays)
 
 
 def _joined(grasps: RodGrasps, others: RodGrasps, rows: np.ndarray) -> RodGrasps:

@@ -1,13 +1,14 @@
 """Grasps of a rod that remembers how it was bent, while it is laid from its beginning.
 
-What it remembers at a contact is what it went through at the contacts before: laying is slow. All
-contacts are solved at once, as linear rods that have the moments, and the stiffness, which the
-sweep before found; then every material point goes through its curvatures once more. Where sweeps
-no longer change the grips, moments are those of the law.
+What it remembers at a contact is what it went through at the contacts before: laying is slow. Some
+contacts at a time are solved at once, as linear rods that have the moments, and the stiffness,
+which the sweep before found; then every material point goes through its curvatures once more. Where
+sweeps no longer change the grips, moments are those of the law, and the next contacts begin.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -31,6 +32,10 @@ _CLOSE = 0.1
 _SAME, _SHRINKS, _LATE, _LATELY, _SWEEPS = 1e-5, 0.8, 16, 2e-3, 60
 # Least stiffness of a linear rod that stands for one that yields, over that of the rod.
 _LEAST = 0.1
+# Contacts that are solved at once: of more, sweeps would go to and fro.
+_AT_ONCE = 16
+# What of a rod the law changes.
+_OF_LAW = ("bending_stiffness", "natural_curvature")
 
 
 def in_order(contact: np.ndarray, lgb: float) -> tuple[np.ndarray, np.ndarray]:
@@ -63,13 +68,19 @@ def solve_in_order(
         inputs, roll, options: see `general.solve_general`.
     """
     coarse, fine = options.edge_count // 2, options.edge_count
-    sweep = replace(options, eigenvalues=False, shapes=False, curvatures=True)
-    for _ in range(_SWEEPS):
-        found = solve_general(*inputs, history.rods, roll, sweep)
-        bent = {coarse: found["coarse"], fine: found["fine"]}
-        if history.follow(found["position"], found["converged"], bent):
-            break
-    found = solve_general(*inputs, history.rods, roll, options)
+    sweep = replace(options, eigenvalues=False, shapes=False, curvatures=True, progress=None)
+    for first in range(0, len(roll), _AT_ONCE):
+        rows = slice(first, first + _AT_ONCE)
+        history.go_on(rows)
+        for _ in range(_SWEEPS):
+            length, curvature, ratio = (value[rows] for value in inputs)
+            rods = history.rods_of(rows)
+            found = solve_general(length, curvature, ratio, rods, roll[rows], sweep)
+            bent = {coarse: found["coarse"], fine: found["fine"]}
+            if history.follow(found["position"], found["converged"], bent):
+                break
+    everything = slice(None)
+    found = solve_general(*inputs, history.rods_of(everything), roll, options)
     found["converged"] = found["converged"] & history.settled
     return found
 
@@ -92,15 +103,33 @@ class History:
         beyond = max(int(np.ceil(length[-1] / _CLOSE)), 2)
         # Points that are all met by contacts at the same distances.
         self._point = np.concatenate([contact, np.linspace(contact[-1], end, beyond + 1)[1:]])
-        self._rods = dict(meshes)
-        self._grip: np.ndarray | None = None
+        # Linear rods that have the moments found last.
+        self._rods = {
+            edges: rods | {name: rods[name].copy() for name in _OF_LAW}
+            for edges, rods in meshes.items()
+        }
+        # Excess and z (2, point, 2) by mesh: at the contact before the present ones, and at theirs.
+        start = np.zeros((2, len(self._point), 2))
+        self._before = dict.fromkeys(meshes, start)
+        self._here = dict.fromkeys(meshes, start)
         self._bent: dict[int, np.ndarray] = {}
-        self._sweeps, self._moved, self._halved = 0, np.inf, False
+        self._rows = slice(0, 0)
         self.settled = np.zeros(len(contact), dtype=bool)
 
-    def rods(self, edges: int) -> RodArrays:
-        """Linear rods that have the moments found last."""
-        return self._rods[edges]
+    def rods_of(self, rows: slice) -> Callable[[int], RodArrays]:
+        """Linear rods of some contacts that have the moments found last, by the mesh's edges."""
+        return lambda edges: {name: value[rows] for name, value in self._rods[edges].items()}
+
+    def go_on(self, rows: slice) -> None:
+        """Take the next contacts, which begin with the excess of the last one before them."""
+        self._rows, self._before = rows, dict(self._here)
+        self._grip: np.ndarray | None = None
+        self._sweeps, self._moved, self._halved = 0, np.inf, False
+        for edges, bent in self._bent.items():
+            natural = self.meshes[edges]["natural_curvature"]
+            excess = bent[-1] - natural[rows.start - 1]
+            self._bent[edges] = excess + natural[rows]
+            self._gone_through(edges, self._bent[edges])
 
     def follow(self, grip: np.ndarray, solved: np.ndarray, bent: dict[int, np.ndarray]) -> bool:
         """Go once more through the curvatures (n, node, 2) at the nodes of each mesh, where the
@@ -110,10 +139,11 @@ class History:
             moved = np.maximum.accumulate(np.nan_to_num(moved, nan=np.inf))
             stays = bool(moved[-1] > _SHRINKS * self._moved)
             self._halved |= stays
-            self.settled = moved < (_LATELY if stays and self._sweeps > _LATE else _SAME)
+            settled = moved < (_LATELY if stays and self._sweeps > _LATE else _SAME)
+            self.settled[self._rows] = settled
             self._moved = moved[-1]
         self._grip = grip
-        if self.settled.all():
+        if self.settled[self._rows].all():
             return True
         # Where there is no grasp, the rod hangs as it did before.
         last = np.maximum.accumulate(np.where(solved, np.arange(len(solved)), 0))
@@ -123,18 +153,20 @@ class History:
             if self._halved:
                 found = 0.5 * (found + self._bent[edges])
             self._bent[edges] = found
-            self._rods[edges] = self._gone_through(self.meshes[edges], found)
+            self._gone_through(edges, found)
         return False
 
-    def _gone_through(self, rods: RodArrays, bent: np.ndarray) -> RodArrays:
+    def _gone_through(self, edges: int, bent: np.ndarray) -> None:
+        rows = self._rows
+        rods = {name: value[rows] for name, value in self.meshes[edges].items()}
         natural, stiffness = rods["natural_curvature"], rods["bending_stiffness"]
         excess = np.nan_to_num(bent - natural)
         excess[:, -1] = 0.0
         start = np.zeros_like(rods["rest_length"][:, :1])
-        node = self.contact[:, None] + np.cumsum(
+        node = self.contact[rows, None] + np.cumsum(
             np.concatenate([start, rods["rest_length"]], axis=1), axis=1
         )
-        before = self._before(node, excess, stiffness)
+        before = self._at_contact_before(edges, node, excess, stiffness)
         count = excess[..., 0].size
         lagging, tangent = self._flow(
             excess.reshape(1, count, 2), stiffness.reshape(count, 2), before.reshape(2, count, 2)
@@ -144,23 +176,28 @@ class History:
         # The linear rod with this moment here, as stiff as the law goes on.
         softer = np.maximum(1.0 - share * (1.0 - tangent), _LEAST)
         moment = excess - share * (excess - lagging)
-        return rods | {
-            "bending_stiffness": stiffness * softer,
-            "natural_curvature": natural + excess - moment / softer,
-        }
+        self._rods[edges]["bending_stiffness"][rows] = stiffness * softer
+        self._rods[edges]["natural_curvature"][rows] = natural + excess - moment / softer
 
-    def _before(self, node: np.ndarray, excess: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+    def _at_contact_before(
+        self, edges: int, node: np.ndarray, excess: np.ndarray, stiffness: np.ndarray
+    ) -> np.ndarray:
         """(2, n, node, 2) excess and z of nodes at the contact before theirs, 0 at the first."""
-        points, count = self._point, len(node)
+        points, count, first = self._point, len(node), self._rows.start
         path = np.zeros((count, len(points), 2))
         for i in range(count):
-            path[i, i:] = _akima(node[i], excess[i], points[i:])
+            path[i, first + i :] = _akima(node[i], excess[i], points[first + i :])
         of_points = np.stack([np.interp(points, node[0], stiffness[0, :, k]) for k in (0, 1)], 1)
-        lagging, _ = self._flow(path, of_points, np.zeros((2, len(points), 2)))
+        lagging, _ = self._flow(path, of_points, self._before[edges])
+        went = np.stack([path, lagging], axis=1)
+        self._here[edges] = went[-1]
         before = np.zeros((2, *excess.shape))
-        for i in range(1, count):
-            both = np.concatenate([path[i - 1, i - 1 :], lagging[i - 1, i - 1 :]], axis=1)
-            before[:, i] = np.split(_akima(points[i - 1 :], both, node[i]), 2, axis=1)
+        for i in range(count):
+            if first + i == 0:
+                continue
+            both = went[i - 1] if i else self._before[edges]
+            both = np.concatenate([*both[:, first + i - 1 :]], axis=1)
+            before[:, i] = np.split(_akima(points[first + i - 1 :], both, node[i]), 2, axis=1)
         return before
 
     def _flow(
