@@ -37,8 +37,7 @@ class Loop:
     trials: int = option("Clamped shapes measured.", default=16)
     noise: float = option("Of a marker coordinate [m].", default=3e-4)
     candidates: tuple[str, ...] = option(
-        "Let the identification try this effect only (repeatable); default: all it knows; of a "
-        "recording all but yielding.",
+        "Let the identification try this effect only (repeatable); default: all it knows.",
         "--candidate",
     )
     controllers: tuple[str, ...] = option(

@@ -20,8 +20,7 @@ from wrod.files import write_text
 from wrod.identification import identify
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.setup import rotation_of
-from wrod.identification.effect import effects, effects_asked
-from wrod.identification.effects.law import Yielding
+from wrod.identification.effect import effects_asked
 from wrod.identification.entry import identification_cost
 from wrod.identification.motion.loading import load_motion
 from wrod.identification.template import labels
@@ -214,11 +213,10 @@ def _recorded(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
     steps = loop.out / name / "steps.jsonl"  # where a run that was stopped goes on from
     with loop.timed("identification"):
         recordings = load_motion(loop.recording)
-        # Grasps of a rod that remembers are a sequence, of which eight plans take too long.
-        asked = loop.candidates or [n for n in effects("motion") if n != Yielding.name]
         report: Any = identify(
-            recordings, candidates=asked, device=loop.device, steps=steps, evidence=False
-        )
+            recordings, candidates=loop.candidates or None, device=loop.device, steps=steps,
+            evidence=False,
+        )  # fmt: skip
     written, model = report.save(loop.out / name), report.model
     roll = read_roll(loop.roll_text, model)
     return {name: Case(model, report.base_rod, report, model, None, roll)}, written
