@@ -80,6 +80,23 @@ def test_stiffness_bend_and_lag_are_found():
     assert straight.noise > 10.0 * fit.noise
 
 
+def test_a_cable_that_yields_is_found_and_the_lag_is_its_print():
+    """A constant lag is all that friction leaves of it once it has slipped."""
+    truth = CableModel(0.11, -1.5, friction=0.6, kept=0.3)
+    sets = [measured(lambda _: truth, tip, 5e-4, seed) for seed, tip in enumerate((0.03, 0.23))]
+    fit = fit_held(sets, ("curvature", "yielding"))
+    said = dict(zip(fit.names, fit.values, strict=True))
+    error = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
+    wanted = {"stiffness": np.log(0.11), "curvature 0": -1.5, "curvature 1": -1.5}
+    for name, value in (wanted | {"friction": 0.6, "kept": np.log(0.3)}).items():
+        assert abs(said[name] - value) < 3.0 * error[name], name
+    assert error["friction"] < 0.1 and error["curvature 0"] < 0.1
+    assert fit.noise == pytest.approx(5e-4, rel=0.35)
+    lags = fit_held(sets, ("curvature", "lag"))
+    assert lags.noise > 2.0 * fit.noise
+    assert dict(zip(lags.names, lags.values, strict=True))["lag 0"] > 0.2
+
+
 def test_bad_measurements_are_named(tmp_path):
     good = dict(
         base_angle=ANGLES, mid=np.zeros((6, 2)), end=np.zeros((6, 2)), length=0.4,

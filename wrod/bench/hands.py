@@ -40,8 +40,9 @@ def command(
     buckle. And the thick cables' swings: by the statics' model, then with internal damping.
 
     A straight cable of one stiffness first, then with natural curvature, with what the last turn
-    left of it (lag), and with a tilted clamp, each fitted to both loads of a cable together. Angles
-    are left out in folds, every FOLDS-th of each set; intervals come from other folds.
+    left of it (lag), and with a tilted clamp, each fitted to both loads of a cable together; beside
+    it one that yields instead of the lag. Angles are left out in folds, every FOLDS-th of each set;
+    intervals come from other folds.
     """
     from wrod.bench import hands_loops, hands_swings
     from wrod.files import write_json
@@ -62,17 +63,19 @@ def command(
     if hanging is not None:
         hands_loops.read_all(hanging)
     figures: dict = {"machine": machine_line(device), "cables": {}}
-    predictions, statics = {}, {}
+    predictions, statics, yields = {}, {}, {}
     written = [out / "hands.json"]
     for cable, sets in held.items():
-        figures["cables"][cable], fit = _explain(sets, None if quick else folds, device)
+        figures["cables"][cable], fit, yields[cable] = _explain(
+            sets, None if quick else folds, device
+        )
         statics[cable] = fit
         if not quick:
             spread = figures["cables"][cable]["left_out"]["sigma_mm"]
             predictions |= _predict(cable, sets, fit, spread, device)
         write_json(written[0], figures)  # what is known so far, should the rest be cut off
     figures["swings"], predictions["swings"] = hands_swings.explain(
-        data / "swing", statics, {name: source for name, (source, *_) in OTHERS.items()},
+        data / "swing", statics, yields, {name: source for name, (source, *_) in OTHERS.items()},
         quick, device,
     )  # fmt: skip
     write_json(written[0], figures)
@@ -89,38 +92,46 @@ def command(
     tell(figures, *lines, *(f"wrote {path}" for path in written))
 
 
-_STAGES = ((), ("curvature",), ("curvature", "lag"), ("curvature", "lag", "tilt"))
+_PREDICTS, _RIVAL = ("curvature", "lag", "tilt"), ("curvature", "yielding", "tilt")
+_STAGES = ((), ("curvature",), ("curvature", "lag"), _PREDICTS)
 
 
 def _explain(sets, folds, device):
+    """Figures of a cable, and the fits with a lag and of one that yields."""
     from wrod.identification.held.fit import fit_held
 
-    stages, fit = [], None
-    for effects in _STAGES:
-        fit = fit_held(sets, effects, device=device)
-        stages.append({"effects": list(effects), **_errors(fit.residual, fit.snapped, sets)})
+    fits = {effects: fit_held(sets, effects, device=device) for effects in (*_STAGES, _RIVAL)}
+    stages = [{"effects": list(e), **_errors(f.residual, f.snapped, sets)} for e, f in fits.items()]
     figures = {
-        "stages": stages,
-        "parameters": {
-            name: {"value": float(v), "stderr": float(e)}
-            for name, v, e in zip(
-                fit.names, fit.values, np.sqrt(np.diag(fit.covariance)), strict=True
-            )
-        },
+        "stages": stages[:-1],
+        "parameters": _parameters(fits[_PREDICTS]),
+        "yields": stages[-1] | {"parameters": _parameters(fits[_RIVAL])},
     }
     if folds is not None:
-        figures["left_out"] = _left_out(sets, folds, device)
-    return figures, fit
+        figures["left_out"] = _left_out(sets, _PREDICTS, folds, device)
+        figures["yields"]["left_out"] = _left_out(sets, _RIVAL, folds, device)
+    return figures, fits[_PREDICTS], fits[_RIVAL]
 
 
-def _left_out(sets, folds, device) -> dict:
+def _parameters(fit) -> dict:
+    errors = np.sqrt(np.diag(fit.covariance))
+    scaled = fit.covariance / np.outer(errors, errors)
+    # Of two that correlate so much neither is known by itself.
+    beside = np.abs(scaled - np.eye(len(errors))).max(axis=1)
+    return {
+        name: {"value": float(v), "stderr": float(e), "correlates": float(c)}
+        for name, v, e, c in zip(fit.names, fit.values, errors, beside, strict=True)
+    }
+
+
+def _left_out(sets, effects, folds, device) -> dict:
     """Every angle predicted by fits that have not seen it, in the same place of both sets."""
     from wrod.identification.held.fit import fit_held
 
     fold = np.concatenate([np.arange(len(one.angle)) % folds for one in sets])
     residual = np.zeros((len(fold), 2, 2))
     for k in range(folds):
-        fit = fit_held(sets, _STAGES[-1], use=fold != k, device=device)
+        fit = fit_held(sets, effects, use=fold != k, device=device)
         residual[fold == k] = fit.residual[fold == k]
     snapped = np.linalg.norm(residual, axis=-1).max(axis=-1) > 0.1
     inside = []
@@ -210,9 +221,22 @@ def _table(cables: dict) -> str:
             lines.append(
                 f"{cable}: {label}: {said}{share}; snapped {row['snapped']} of {row['cases']}"
             )
-        for name, estimate in figures["parameters"].items():
-            lines.append(f"  {name}: {estimate['value']:.3f} ± {estimate['stderr']:.3f}")
+        lines += _said(figures["parameters"])
+        own = figures["yields"]
+        rows = [("yielding for the lag", own)]
+        rows += [("  left out", own["left_out"])] if "left_out" in own else []
+        for label, row in rows:
+            said = ", ".join(f"{name} {value:.1f}" for name, value in row["rms_mm"].items())
+            lines.append(f"{cable}: {label}: {said}; snapped {row['snapped']} of {row['cases']}")
+        lines += _said(own["parameters"])
         if "left_out" in figures:
             share = figures["left_out"]["inside_80_percent"]
             lines.append(f"  80 % intervals hold {100.0 * share:.0f} % of what is left out")
     return "\n".join(lines) + "\n"
+
+
+def _said(parameters: dict) -> list[str]:
+    return [
+        f"  {name}: {e['value']:.3f} ± {e['stderr']:.3f}, correlates by {e['correlates']:.2f}"
+        for name, e in parameters.items()
+    ]

@@ -24,7 +24,12 @@ def read_all(folder: Path) -> dict[str, HeldSwing]:
 
 
 def explain(
-    folder: Path, statics: dict[str, HeldFit], others: dict[str, str], quick: bool, device: str
+    folder: Path,
+    statics: dict[str, HeldFit],
+    yields: dict[str, HeldFit],
+    others: dict[str, str],
+    quick: bool,
+    device: str,
 ) -> tuple[dict, dict]:
     """Figures by cable, and predictions by set: of every swing in the folder, given its first two
     frames, by a fit that has not seen it.
@@ -32,6 +37,7 @@ def explain(
     Args:
         folder: with SET-swing.npz.
         statics: what each cable told where it hangs, its sets in the order of `LOADS`.
+        yields: the same of one that yields.
         others: name of another piece of cable and the cable that it is a piece of.
         quick: one stage, nothing left out.
     """
@@ -43,10 +49,14 @@ def explain(
         swings = [load_swing(path) for path in paths]
         stages = _STAGES[:2] if quick else _STAGES
         fits = [fit_swings(swings, fit, effects, device=device) for effects in stages]
-        figures[cable] = {"stages": [_row(swings, one) for one in fits]}
+        alike = fit_swings(swings, yields[cable], _PREDICTS, device=device)
+        figures[cable] = {
+            "stages": [_row(swings, one) for one in fits],
+            "as_it_hangs": _row(swings, alike),
+        }
         if quick:
             continue
-        found, out = _left_out(swings, fit, device)
+        found, out = _left_out(swings, fit, yields[cable], device)
         figures[cable] |= found
         predictions |= out
         pieces = [name for name, source in others.items() if source == cable]
@@ -84,16 +94,18 @@ def draw(folder: Path, out: Path, statics: dict[str, HeldFit], predictions: dict
     return [write_atomically(path, lambda file: file.write(as_png(figure)), "wb")]
 
 
-def _left_out(swings, statics, device) -> tuple[dict, dict]:
+def _left_out(swings, statics, yields, device) -> tuple[dict, dict]:
     """Every swing by what the other one told, with intervals of the other one's residual."""
-    figures: dict = {"left_out": {}, "left_out_friction": {}}
+    figures: dict = {"left_out": {}, "left_out_friction": {}, "left_out_as_it_hangs": {}}
     out, inside = {}, []
     for k, swing in enumerate(swings):
         seen = [j for j in range(len(swings)) if j != k]
         fit = fit_swings(swings, statics, _PREDICTS, use=seen, device=device)
         rival = fit_swings(swings, statics, _RIVAL, use=seen, device=device)
+        alike = fit_swings(swings, yields, _PREDICTS, use=seen, device=device)
         figures["left_out"][swing.cable.name] = _rms(fit.residual[k])
         figures["left_out_friction"][swing.cable.name] = _rms(rival.residual[k])
+        figures["left_out_as_it_hangs"][swing.cable.name] = _rms(alike.residual[k])
         sigma = _sigma([fit.residual[j] for j in seen])
         inside.append((np.abs(fit.residual[k]) <= _EIGHTY * sigma).ravel())
         out[swing.cable.name] = _said(swing, swing.cable.markers[2:] - fit.residual[k], sigma)
@@ -175,7 +187,10 @@ def table(figures: dict) -> str:
                 shares = (1.0 - (v / before[name]) ** 2 for name, v in stage["rms_mm"].items())
                 takes = "; takes " + ", ".join(f"{100.0 * share:.1f} %" for share in shares)
             lines.append(f"{cable}: {label}: {said(stage['rms_mm'])}{takes}; {found}".rstrip("; "))
+        alike = own["as_it_hangs"]
+        lines.append(f"{cable}: damping, yielding as it hangs: {said(alike['rms_mm'])}")
         if "left_out" in own:
+            lines.append(f"{cable}: left out so: {said(own['left_out_as_it_hangs'])}")
             lines.append(f"{cable}: by the other's damping: {said(own['left_out'])}")
             lines.append(f"{cable}: and friction: {said(own['left_out_friction'])}")
             share = 100.0 * own["inside_80_percent"]

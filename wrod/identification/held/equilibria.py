@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 
 from wrod.identification.held.measurements import HeldCable
 from wrod.rods.batch import RodBatch
-from wrod.rods.law import BendingLaw, Linear
+from wrod.rods.law import BendingLaw, Linear, Plastic
 from wrod.rods.model import RodModel
 from wrod.rods.state import node_positions
+from wrod.solvers.inelastic import InternalVariables
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 # A cable hardly stretches: EA over B / L^2.
@@ -95,14 +97,32 @@ class CableModel:
     """What a cable clamped in a hand is.
 
     Attributes:
-        stiffness: bending stiffness B of the straight cable [N m^2].
+        stiffness: bending stiffness B [N m^2]; of a cable that yields what is left then.
         curvature: natural curvature in the plane, positive towards +x of the hand [1/m].
         tilt: turn of the clamp from the hand's axis, towards +x [rad].
+        friction: how much more moment than B times its excess curvature a cable has once it has
+            yielded (its strands have slipped), over B [1/m]; 0: none.
+        kept: B over the stiffness before it yields [-].
     """
 
     stiffness: float
     curvature: float = 0.0
     tilt: float = 0.0
+    friction: float = 0.0
+    kept: float = 1.0
+
+    @property
+    def law(self) -> BendingLaw:
+        """Of bending, of a rod with the stiffness `first`."""
+        if not (self.friction > 0.0 and self.kept < 1.0):
+            return _LINEAR
+        # Beyond k_y the moment is B / r (k_y + r (e - k_y)).
+        return Plastic(self.friction * self.kept / (1.0 - self.kept), self.kept)
+
+    @property
+    def first(self) -> float:
+        """Bending stiffness before it yields [N m^2]."""
+        return self.stiffness / (self.kept if self.law.remembers else 1.0)
 
 
 def markers(
@@ -116,7 +136,8 @@ def markers(
     """
     count = len(cases)
     batch = batch_of(cases, device=device)
-    solver = EquilibriumSolver(batch)
+    solver, memory = EquilibriumSolver(batch), InternalVariables(batch)
+    forever = wp.full(count, np.inf, dtype=wp.float64, device=device)
     good = np.ones(count, dtype=bool)
     angle = np.array([angle for _, angle, _ in cases])
     gravity = np.array([cable.gravity for cable, _, _ in cases])
@@ -127,6 +148,7 @@ def markers(
         )
         batch.gravity.assign(pull)
         good &= solver.solve(ramp_loads=k == 1, tolerance=1e-7).converged
+        memory.finish(batch.every_rod, forever)
     return marked(node_positions(batch.state.dof.numpy())), good
 
 
@@ -148,7 +170,6 @@ def batch_of(
     cases: Sequence[tuple[HeldCable, float, CableModel]],
     *,
     position: np.ndarray | None = None,
-    laws: Sequence[BendingLaw] | None = None,
     device: str = "cpu",
 ) -> RodBatch:
     """The cables as rods clamped at their first edge, without gravity.
@@ -156,19 +177,18 @@ def batch_of(
     Args:
         cases: see `markers`; the angle does not matter.
         position: (case, node, 3) first shapes [m]; default: straight.
-        laws: of bending, one a case; default: linear.
     """
     known: dict[tuple, RodModel] = {}
     rods = []
-    for (cable, _, model), law in zip(cases, laws or [_LINEAR] * len(cases), strict=True):
-        key = (id(cable), model, law)
+    for cable, _, model in cases:
+        key = (id(cable), model)
         if key not in known:
             known[key] = cable_model(
                 cable.length,
-                model.stiffness,
+                model.first,
                 cable.cable_mass / cable.length,
                 curvature=model.curvature,
-                law=law,
+                law=model.law,
                 tip_mass=cable.tip_mass,
                 gravity=cable.gravity,
             )

@@ -6,7 +6,7 @@ leaves the natural curvature `lag` lower than the mean of both, a negative one a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,12 @@ from wrod.identification.held.measurements import HeldCable
 # Beyond this a marker's residual is another branch of equilibria, which no derivative leads to [m].
 _SNAPPED = 0.1
 _ITERATIONS, _TRIES, _ENOUGH = 12, 4, 1e-3
-_STEPS = {"stiffness": 0.02, "curvature": 0.05, "lag": 0.05, "tilt": 0.01}
+_STEPS = {"stiffness": 0.02, "curvature": 0.05, "lag": 0.05, "tilt": 0.01, "friction": 0.05}
+_STEPS |= {"kept": 0.05}
+# Bounds of how a cable yields, "friction" [1/m] and the logarithm of "kept" (see `CableModel`):
+# friction that is all or nothing is another law.
+YIELDING = {"friction": (1e-2, 5.0), "kept": (-3.0, -0.05)}
+_EFFECTS = ("curvature", "lag", "yielding", "tilt")
 
 
 @dataclass(frozen=True)
@@ -25,8 +30,9 @@ class HeldFit:
     """One cable's sets explained together.
 
     Attributes:
-        names: of the parameters: "stiffness" (logarithm of B over 1 N m^2) and "tilt" [rad] of all
-            sets, "curvature 0" and "lag 0" [1/m] of the first set, and so on.
+        names: of the parameters: "stiffness" (logarithm of B over 1 N m^2), "friction" [1/m],
+            logarithm of "kept" and "tilt" [rad] of all sets (see `CableModel`), "curvature 0" and
+            "lag 0" [1/m] of the first set, and so on.
         values, covariance: (P,) and (P, P); the covariance takes the residual for white noise.
         residual: (case, 2, 2) measured minus predicted, the sets one after the other [m].
         snapped: (case,) whether the model is on another branch there; these did not count.
@@ -53,7 +59,9 @@ def fit_held(
 
     Args:
         sets: of one cable, with different weights at its tip.
-        effects: of "curvature", "lag" and "tilt"; none: a straight cable of one stiffness.
+        effects: of "curvature", "lag", "yielding" and "tilt"; none: a straight cable of one
+            stiffness. A cable that yields has gone straight from its natural shape to where it
+            hangs down, and from there to each angle.
         use: (case,) which angles of all sets to fit, the sets one after the other.
 
     Raises:
@@ -61,12 +69,14 @@ def fit_held(
     """
     if not sets:
         raise DataError("no set of a cable is given")
-    unknown = [name for name in effects if name not in ("curvature", "lag", "tilt")]
+    unknown = [name for name in effects if name not in _EFFECTS]
     if unknown:
-        raise DataError(f"unknown effect {unknown[0]!r}; use curvature, lag, tilt")
+        raise DataError(f"unknown effect {unknown[0]!r}; use {', '.join(_EFFECTS)}")
     own = [f"{e} {k}" for e in ("curvature", "lag") if e in effects for k in range(len(sets))]
-    names = ("stiffness", *own, *(e for e in ("tilt",) if e in effects))
+    shared = [*(YIELDING if "yielding" in effects else ()), *(e for e in ("tilt",) if e in effects)]
+    names = ("stiffness", *own, *shared)
     step = np.array([_STEPS[name.split()[0]] for name in names])
+    bounds = np.array([YIELDING.get(name, (-np.inf, np.inf)) for name in names]).T
     measured = np.concatenate([one.markers for one in sets])
     use = np.ones(len(measured), dtype=bool) if use is None else np.asarray(use, dtype=bool)
 
@@ -88,7 +98,7 @@ def fit_held(
         for _ in range(_TRIES):
             add = damping * np.diag(np.diag(square) + 1e-12)
             move = np.linalg.solve(square + add, matrix.T @ off)
-            trial = values + np.clip(move, -10.0 * step, 10.0 * step)
+            trial = np.clip(values + np.clip(move, -10.0 * step, 10.0 * step), *bounds)
             left = _cost(measured - predict([trial])[0], use)
             better = left < _cost(measured - here, use)
             damping = damping / 5.0 if better else damping * 8.0
@@ -110,7 +120,15 @@ def fit_held(
 def _model(names, values, which, angle) -> CableModel:
     said = dict(zip(names, values, strict=True))
     bent = said.get(f"curvature {which}", 0.0) - said.get(f"lag {which}", 0.0) * np.sign(angle)
-    return CableModel(float(np.exp(said["stiffness"])), bent, tilt=said.get("tilt", 0.0))
+    cable = CableModel(float(np.exp(said["stiffness"])), bent, tilt=said.get("tilt", 0.0))
+    return yielding(cable, said)
+
+
+def yielding(cable: CableModel, said: dict[str, float]) -> CableModel:
+    """The cable with "friction" and "kept" of what parameters say, where they do."""
+    if "friction" not in said:
+        return cable
+    return replace(cable, friction=float(said["friction"]), kept=float(np.exp(said["kept"])))
 
 
 def _predict(sets, names, many, device) -> np.ndarray:
@@ -129,10 +147,8 @@ def _start(sets, names, predict, measured, use):
     tries = []
     for stiffness in np.log(weight / np.geomspace(3.0, 30.0, 7)):
         for bend in (-2.0, -1.0, 0.0, 1.0, 2.0) if "curvature 0" in names else (0.0,):
-            said = [
-                {"stiffness": stiffness, "curvature": bend}.get(n.split()[0], 0.0) for n in names
-            ]
-            tries.append(np.array(said))
+            first = {"stiffness": stiffness, "curvature": bend, "friction": 0.5, "kept": -1.0}
+            tries.append(np.array([first.get(name.split()[0], 0.0) for name in names]))
     predicted = predict(tries)
     return tries[int(np.argmin([_cost(measured - p, use) for p in predicted]))]
 

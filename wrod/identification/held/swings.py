@@ -1,7 +1,7 @@
 """Swings of cables that a hand at rest holds, by the model that explains how they hang.
 
 Stiffness, clamp and bend at rest are those of the statics. A swing asks for what opposes motion: an
-internal damping (Kelvin and Voigt's), friction between the strands (Dahl's), and the bend that the
+internal damping (Kelvin and Voigt's), strands that slip (the law `plastic`), and the bend that the
 cable's last handling left. As in the task, the first two frames are given: shape and velocity
 halfway between them start the motion.
 """
@@ -16,9 +16,8 @@ from scipy.optimize import least_squares
 from wrod.errors import DataError
 from wrod.identification.found_rod import FoundRod
 from wrod.identification.held.equilibria import CableModel, batch_of, cable_model, marked, mesh
-from wrod.identification.held.fit import HeldFit
+from wrod.identification.held.fit import YIELDING, HeldFit, yielding
 from wrod.identification.held.measurements import HeldCable, HeldSwing
-from wrod.rods.law import BendingLaw, Dahl, Linear
 from wrod.rods.state import node_positions
 from wrod.solvers.dynamics import Dynamics
 
@@ -27,8 +26,7 @@ EFFECTS = ("damping", "friction", "bend")
 _SUBSTEPS = 2
 # First guess and step of the differences: "damping" and "kept" are logarithms.
 _START = {"damping": (-2.5, 0.05), "friction": (0.5, 0.05), "kept": (-1.5, 0.05), "bend": (0, 0.05)}
-# Bounds of "friction" [1/m] and "kept": friction that is all or nothing is another law.
-_BOUNDS = {"friction": (1e-2, 5.0), "kept": (-3.0, -0.05), "damping": (-9.0, 2.0)}
+_BOUNDS = YIELDING | {"damping": (-9.0, 2.0)}
 # A swing of a model that does not converge is as far off as this [m].
 _LOST = 1.0
 _EVALUATIONS = 15
@@ -39,35 +37,18 @@ class SwingModel:
     """What opposes a cable's swing, beside what it is at rest.
 
     Attributes:
-        cable: at rest.
+        cable: at rest, and how it yields.
         damping: Kelvin-Voigt time [s].
-        friction: moment of the strands' friction once they slip, over the stiffness that is left
-            then [1/m]; 0: none.
-        kept: that stiffness, which hanging cables show, over the stiffness before they slip [-].
     """
 
     cable: CableModel
     damping: float = 0.0
-    friction: float = 0.0
-    kept: float = 1.0
-
-    @property
-    def law(self) -> BendingLaw:
-        """Of bending: Dahl's where strands rub."""
-        if not (self.friction > 0.0 and self.kept < 1.0):
-            return Linear()
-        # Slipped, the moment is B r e + B (1 - r) k_s.
-        return Dahl(self.friction * self.kept / (1.0 - self.kept), self.kept)
-
-    @property
-    def sticking(self) -> CableModel:
-        """The cable with the stiffness that it has before it slips."""
-        return replace(self.cable, stiffness=self.cable.stiffness / self.kept)
 
     @property
     def internal_damping(self) -> float:
-        """Kelvin-Voigt time of that stiffness [s]: `damping` belongs to what hanging shows."""
-        return self.damping * self.kept
+        """Kelvin-Voigt time of the stiffness before it yields [s]: `damping` belongs to the one
+        that hanging shows."""
+        return self.damping * self.cable.stiffness / self.cable.first
 
     def rod(
         self, cable: HeldCable, *, twist_ratio: float = 2.0 / 3.0, weighted: bool = False
@@ -85,21 +66,22 @@ class SwingModel:
         Raises:
             RodError: a number is none that a rod may have.
         """
+        own = self.cable
         model = cable_model(
             cable.length,
-            self.sticking.stiffness,
+            own.first,
             cable.cable_mass / cable.length,
-            twist_ratio=twist_ratio * self.kept,
-            curvature=self.cable.curvature,
-            law=self.law,
+            twist_ratio=twist_ratio * own.stiffness / own.first,
+            curvature=own.curvature,
+            law=own.law,
             tip_mass=cable.tip_mass if weighted else 0.0,
             gravity=cable.gravity,
         )
         fitted = replace(model, radius=0.5 * cable.diameter, internal_damping=self.internal_damping)
-        swing = {"damping": self.damping, "friction": self.friction, "kept": self.kept}
-        rest = {"stiffness": self.cable.stiffness, "curvature": self.cable.curvature}
+        swing = {"damping": self.damping, "friction": own.friction, "kept": own.kept}
+        rest = {"stiffness": own.stiffness, "curvature": own.curvature}
         assumed = ("twisting_stiffness", "stretching_stiffness")
-        tilt = {"clamp_tilt": {"tilt": self.cable.tilt}} if self.cable.tilt else {}
+        tilt = {"clamp_tilt": {"tilt": own.tilt}} if own.tilt else {}
         effects = {"hanging": rest, "swinging": swing, **tilt}
         return FoundRod(fitted, tuple(tilt), assumed, effects)
 
@@ -149,9 +131,8 @@ def predict_swings(
         here, moves = _first(swing, model, interval)
         position.append(here)
         velocity.append(moves)
-    held = [(swing.cable, 0.0, model.sticking) for swing, model in cases]
-    laws = [model.law for _, model in cases]
-    batch = batch_of(held, position=np.array(position), laws=laws, device=device)
+    held = [(swing.cable, 0.0, model.cable) for swing, model in cases]
+    batch = batch_of(held, position=np.array(position), device=device)
     # The hand is at rest: its mean angle is free of the markers' noise.
     angle = np.array([swing.cable.angle.mean() for swing, _ in cases])
     size = np.array([swing.cable.gravity for swing, _ in cases])[:, None]
@@ -252,9 +233,7 @@ def _model(statics, names, values, which, set_of=None) -> SwingModel:
     cable = statics.model(which if set_of is None else set_of, 0.0)
     cable = replace(cable, curvature=cable.curvature + said.get(f"bend {which}", 0.0))
     damping = float(np.exp(said["damping"])) if "damping" in said else 0.0
-    if "friction" not in said:
-        return SwingModel(cable, damping)
-    return SwingModel(cable, damping, float(said["friction"]), float(np.exp(said["kept"])))
+    return SwingModel(yielding(cable, said), damping)
 
 
 def _independent(residual: Sequence[np.ndarray]) -> float:
