@@ -23,7 +23,7 @@ from wrod.identification.clamped.layout import (
     wind_load,
 )
 from wrod.identification.clamped.sensing import END, Prediction, View
-from wrod.identification.clamped.sensitivity import WIND_PASSES, WIND_TOLERANCE, Sensitivity
+from wrod.identification.clamped.sensitivity import WIND_PASSES, Sensitivity
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.kernels.elastic.inelastic import inelastic_energy
@@ -34,6 +34,8 @@ from wrod.rods.state import RodState
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _WAYPOINTS = 8
+# Over the force scale, by how much a wind's load is another one where rods have moved to.
+_SAME_WIND = 1e-9
 _PATIENCE, _WALK_PATIENCE, _FALL_PATIENCE = 12, 60, 150
 
 
@@ -147,20 +149,21 @@ class ClampedSolver:
         batch, solver = self.batch, self._equilibria
         wind = np.repeat(np.real([s.wind for s in setups]), self.trial_count, axis=0)
         windy = bool(np.any(wind))
+        load, dead = wind_load(batch.positions(), wind), np.real(dead_force(setups))
         for _ in range(WIND_PASSES if windy else 1):
-            before = batch.point_load.numpy().copy()
-            load = wind_load(batch.positions(), wind) + np.real(dead_force(setups))
-            batch.point_load.assign(load)
+            before = load
+            batch.point_load.assign(load + dead)
             result = solver.solve(
                 prescribed=targets,
                 tolerance=tolerance,
                 max_iterations=patience or (_PATIENCE if targets is None else _WALK_PATIENCE),
             )
             self.negative = result.negative_pivots
-            scale = solver.force_scale.numpy()[:, None, None]
-            if np.abs(load - before).max(axis=None, initial=0, where=np.isfinite(load)) <= (
-                WIND_TOLERANCE * scale.max()
-            ):
+            if not windy:
+                break
+            load = wind_load(batch.positions(), wind)
+            change = np.abs(load - before).max(initial=0.0, where=np.isfinite(load))
+            if change <= _SAME_WIND * solver.force_scale.numpy().max():
                 break
         return result.converged
 

@@ -129,3 +129,19 @@ def wind_load(position: np.ndarray, wind: np.ndarray) -> np.ndarray:
     load[:, 1:-2] += half
     load[:, 2:-1] += half
     return load
+
+
+def wind_rates(position: np.ndarray, wind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(rod, edge, 3, 3) derivatives of half of `wind_load` on each edge by the edge and by the
+    wind."""
+    edge = position[:, 2:-1] - position[:, 1:-2]
+    length = np.sqrt(np.sum(edge * edge, axis=2))[..., None, None]
+    t = edge[..., None] / length
+    w = wind[:, None, :, None]
+    along = np.sum(w * t, axis=2, keepdims=True)
+    across = w - along * t
+    speed = np.sqrt(np.sum(across * across, axis=2, keepdims=True) + 1e-60)
+    normal = np.eye(3) - t * t.mT
+    by_across = 0.5 * length * (speed * np.eye(3) + across * across.mT / speed)
+    by_edge = 0.5 * speed * across * t.mT - by_across @ (t * across.mT + along * normal) / length
+    return by_edge, by_across @ normal

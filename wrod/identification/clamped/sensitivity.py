@@ -17,7 +17,7 @@ from wrod.identification.clamped.layout import (
     end_poses,
     inelastic_of,
     law_layers,
-    wind_load,
+    wind_rates,
 )
 from wrod.identification.clamped.sensing import END, Prediction, View
 from wrod.identification.clamped.setup import ClampedSetup
@@ -88,12 +88,12 @@ class Sensitivity:
         free_step = np.zeros_like(step)
         load_rate = np.zeros_like(step)
         windy = bool(np.any(wind) or np.any(wind_rate))
+        if windy:
+            by_edge, by_wind = wind_rates(batch.positions(), wind)
+            by_wind = np.einsum("reij,crj->rcei", by_wind, wind_rate)
         for _ in range(WIND_PASSES if windy else 1):
             if windy:
-                for j in range(count):
-                    load_rate[:, j] = self._wind_rate(
-                        wind, wind_rate[j], step[:, j] + free_step[:, j]
-                    )
+                load_rate = _wind_rate(by_edge, by_wind, step + free_step)
             system.x.assign(load_rate - gradient_rate - product)
             system.solve(batch.every_rod)
             change = np.abs(system.x.numpy() - free_step).max(initial=0.0)
@@ -292,12 +292,21 @@ class Sensitivity:
         step[:, -4] = np.sum(rb[:, :, 0] * rb0[:, :, 1], axis=1) + principal
         return step / COMPLEX_STEP
 
-    def _wind_rate(self, wind, wind_rate, step) -> np.ndarray:
-        position = self.batch.positions() + 1j * COMPLEX_STEP * node_positions(step)
-        load = np.imag(wind_load(position, wind + 1j * COMPLEX_STEP * wind_rate)) / COMPLEX_STEP
-        rate = np.zeros((len(step), load.shape[1], 4))
-        rate[:, :, :3] = load
-        return rate.reshape(len(step), -1)[:, :-1]
+
+def _wind_rate(by_edge: np.ndarray, by_wind: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """(rod, column, dof) rates of a wind's load as the rods move by a step and it changes.
+
+    Args:
+        by_edge: of `wind_rates`; by_wind: (rod, column, edge, 3) what comes of the wind's change.
+        step: (rod, column, dof).
+    """
+    rods, columns = step.shape[:2]
+    moved = node_positions(step.reshape(rods * columns, -1)).reshape(rods, columns, -1, 3)
+    half = np.einsum("reij,rcej->rcei", by_edge, np.diff(moved[:, :, 1:-1], axis=2)) + by_wind
+    rate = np.zeros((rods, columns, moved.shape[2], 4))
+    rate[:, :, 1:-2, :3] += half
+    rate[:, :, 2:-1, :3] += half
+    return rate.reshape(rods, columns, -1)[:, :, :-1]
 
 
 def _rates_of(columns: Sequence[np.ndarray]) -> np.ndarray:
