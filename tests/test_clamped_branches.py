@@ -9,14 +9,14 @@ from wrod.bench.hidden_sets import _poses, _rod
 from wrod.identification.clamped import steps
 from wrod.identification.clamped.branches import to_measured
 from wrod.identification.clamped.equilibria import ClampedSolver
-from wrod.identification.clamped.fit import fit_models
+from wrod.identification.clamped.fit import fit_models, solved
 from wrod.identification.clamped.held_out import held_out_error
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.clamped.steps import base_fit, extensions, leaner
 from wrod.identification.clamped.verdict import Round
-from wrod.identification.effect import Model, effects
+from wrod.identification.effect import Effect, Model, effects, unknowns
 from wrod.rods.material import RodMaterial
 
 # Upright: the tangent of clamp A points up, that of the gripper down; m1 along x.
@@ -278,3 +278,27 @@ def test_a_ribbon_in_strong_bends_is_found_though_it_may_roll_to_either_side(see
     assert lab.rms(lab.predict(found.model, found.values), m.test) < 1.1 * m.noise_floor
     # Of few trials as well.
     assert held_out_error(lab, found).rms < 1.1 * m.noise_floor
+
+
+class Edge(Effect):
+    """Numbers of which readings tell the sum alone, so well that double precision loses their
+    priors beside it: as two that move a rod beside a fold."""
+
+    name = title = reference = "edge"
+    parameters = unknowns("", 1.0, "one", "other")
+
+    def measure(self, position, frame, values, setup):
+        return position + 1e8 * (values[0] + values[1])
+
+
+def test_what_rods_beside_a_fold_tell_is_fitted():
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(5, 5))
+    matrix = root @ root.T + np.eye(5)
+    assert np.allclose(solved(matrix, np.eye(5)), np.linalg.inv(matrix), rtol=1e-10)
+    lab = Laboratory(measured(arch(0.12, 0.06, 0.034, height=0.33)), edge_count=24)
+    (fit,) = fit_models(lab, [Model((Edge(),))], [np.zeros(2)])
+    assert fit.converged and fit.chi_squared <= base_fit(lab).chi_squared
+    # Of the difference their priors are all that is known.
+    assert np.diag(fit.covariance) == pytest.approx([0.5, 0.5])
+    assert fit.covariance[0, 1] == pytest.approx(-0.5)

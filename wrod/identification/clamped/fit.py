@@ -149,6 +149,14 @@ def fit_models(
     return found
 
 
+def solved(matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:
+    """Solution of normal equations in units of the priors, which are part of them: directions that
+    double precision loses, as beside a fold, where one trial outweighs all, are the priors' own."""
+    size, modes = np.linalg.eigh(matrix)
+    lost = size < len(size) * np.finfo(float).eps * size[-1]
+    return (modes / np.where(lost, 1.0, size)) @ (modes.T @ rhs)
+
+
 def _state_of(laboratory: Laboratory, origin: Fit | None, trials) -> tuple[np.ndarray, ...]:
     """Shapes to start from: those of a fit, if there are any, else the base model's."""
     if origin is not None:
@@ -244,7 +252,7 @@ class _Iteration:
                     normal[c] = self._normal(c, k, setups[k], readings, rates[k])
                     moves[c] = rates[k][:, : self.coordinates] * self.scales[c]
                     matrix, rhs = normal[c]
-                    if first and rhs @ np.linalg.solve(matrix, rhs) < self.least_gain[c]:
+                    if first and rhs @ solved(matrix, rhs) < self.least_gain[c]:
                         converged[c] = True
             self._put_back(solver, active, states)
             done = []
@@ -296,6 +304,8 @@ class _Iteration:
         scale = self.scales[c]
         jacobian = self.laboratory.whiten(rates, self.trials)
         jacobian *= self.weights[c][:, None, None] * scale
+        # On a fold itself a rod has no rate.
+        jacobian[~np.isfinite(jacobian).all(axis=(1, 2))] = 0.0
         matrix = np.einsum("trp,trq->pq", jacobian, jacobian) + np.eye(len(scale))
         away = (self.values[c] - self.means[c]) / scale
         return matrix, np.einsum("trp,tr->p", jacobian, residual) - away
@@ -309,9 +319,9 @@ class _Iteration:
         stuck = (self.values[c] <= lower) & (rhs < 0.0) | (self.values[c] >= upper) & (rhs > 0.0)
         free = np.flatnonzero(~stuck)
         matrix, rhs = matrix[np.ix_(free, free)], rhs[free]
-        promise = float(rhs @ np.linalg.solve(matrix, rhs))
+        promise = float(rhs @ solved(matrix, rhs))
         step = np.zeros(len(scale))
-        step[free] = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), rhs)
+        step[free] = solved(matrix + damping * np.diag(np.diag(matrix)), rhs)
         moved = np.sqrt(3.0 * ((moves @ step) ** 2).mean(axis=1).max())
         step *= min(1.0, _REACH * self.base.length / max(moved, 1e-300))
         return np.clip(self.values[c] + step * scale, lower, upper), promise
@@ -326,7 +336,7 @@ class _Iteration:
         values = self.values[c]
         covariance = np.diag(scale**2)
         if normal is not None:
-            covariance = np.linalg.inv(normal[0]) * np.outer(scale, scale)
+            covariance = solved(normal[0], np.eye(len(scale))) * np.outer(scale, scale)
         return Fit(
             self.models[c],
             values,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.clamped.equilibria import ClampedSolver
+from wrod.identification.clamped.fit import solved
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Effect, Model
@@ -59,7 +60,7 @@ def likely_pairs(
             )
             matrix = gram[np.ix_(columns, columns)] + np.eye(len(columns))
             rhs = jacobian[:, columns].T @ left - prior
-            cost = left @ left + prior @ prior - rhs @ np.linalg.solve(matrix, rhs)
+            cost = left @ left + prior @ prior - rhs @ solved(matrix, rhs)
             cost += len(start) * np.log(readings)
             key = (a.effect.name, b.effect.name)
             if key not in found or cost < found[key][0]:
