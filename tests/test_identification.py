@@ -408,6 +408,19 @@ def test_a_users_own_effect_takes_part():
     assert report.effects[0].parameters["pull"].value == pytest.approx(0.02, rel=0.05)
 
 
+class Weighted(Magnet):
+    """One whose parameter counts from elsewhere."""
+
+    def apply(self, setup, values):
+        super().apply(setup, [0.05 + values[0]])
+
+
+def test_an_effect_that_is_something_at_zero_is_refused():
+    asked = ["natural_curvature", Weighted()]
+    with pytest.raises(DataError, match=r"'magnet' still changes .* all its parameters are zero"):
+        identify(measurements_from_arrays(synthetic()), candidates=asked)
+
+
 def swap(data, *fields, trial=1):
     """Exchange what belongs to the two clamps in one trial."""
     for field in fields:

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from wrod import arguments
+from wrod.errors import DataError
 from wrod.identification.clamped.branches import FoundBranch
 from wrod.identification.clamped.clock import Clock
+from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import load_measurements
@@ -29,6 +31,8 @@ from wrod.rods.model_file import save_rod
 
 METRIC = "RMS over test trials and markers of the 3-D distance [mm]"
 _FORMAT = "wrod-identification-1"
+# Of the noise: what is no size.
+_NOTHING = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,13 +144,15 @@ def identify_clamped(
         progress: called with (text,) as the work goes on.
 
     Raises:
-        DataError: the data cannot be right, or an effect is unknown.
+        DataError: the data cannot be right, an effect is unknown, or one of those given is not the
+            base model where its parameters are zero.
     """
     say = progress or (lambda text: None)
     clock, asked = Clock(seconds), (measurements, test, candidates)
     m, chosen = as_asked("clamped", ClampedMeasurements, load_measurements, *asked)
     say("base model")
     laboratory = Laboratory(m, device=resolve_device(device))
+    _refuse_sized_at_zero(laboratory, chosen)
     say("force print")
     prints = trace(laboratory)
     say("effects")
@@ -178,6 +184,29 @@ def identify_clamped(
         outliers=laboratory.outliers,
         branches=tuple(laboratory.branches),
     )
+
+
+def _refuse_sized_at_zero(laboratory: Laboratory, chosen: Sequence[Effect]) -> None:
+    """Raise where an effect is not the base model with all its parameters at zero, as fits, priors
+    and known equilibria take it to be."""
+    first = laboratory.trials[:1]
+    base = ClampedSetup.base(laboratory.measurements, first, laboratory.edge_count)
+    state, read = tuple(a[first] for a in laboratory.base_state), laboratory.read[first]
+    models, nothing = [Model(), *(Model((e,)) for e in chosen)], np.zeros(0)
+    values = [np.zeros(len(m.parameters)) for m in models]
+    setups = [m.setup(base, v) for m, v in zip(models, values, strict=True)]
+    solver = ClampedSolver([base] * len(models), device=laboratory.device, start=state)
+    reached, prediction = solver.solve(setups, walk=False)[:, 0], solver.predict(setups)
+    plain = laboratory.observed(Model(), nothing, setups[0], prediction, 0).real
+    for c in range(1, len(models)):
+        seen = laboratory.observed(models[c], values[c], setups[c], prediction, c).real
+        away = np.abs(seen - plain)[read] / laboratory.deviation[first][read]
+        off = away.max() if reached[c] else np.inf
+        if not off < _NOTHING:
+            raise DataError(
+                f"effect {models[c].names[0]!r} still changes what is measured, by {off:.2g} of "
+                "the noise, where all its parameters are zero; let zero be the base model"
+            )
 
 
 def _reason(selection: Selection, prints: Sequence[Print]) -> str:
