@@ -79,6 +79,9 @@ def test_a_rod_that_warms_loses_stiffness_and_not_weight():
     assert scatter is None and not changing and not left_over.seen
     again = with_drift(lab, [*effects().values(), *best.model.effects], base_fit(lab))
     assert again == []  # of one kind of change there is one
+    likely = with_drift(lab, list(effects().values()), base_fit(lab), to_noise=True)
+    assert likely[0].chi_squared == pytest.approx(best.chi_squared, rel=1e-3)
+    assert {f.model.names for f in likely} < {f.model.names for f in fits}
 
 
 def test_what_goes_by_the_logarithm_of_time_is_not_told_as_what_settles():

@@ -23,6 +23,8 @@ _MAY = (
     "stiffness", "density", "natural_curvature", "natural_twist", "gravity_tilt", "clamp_offset",
     "clamp_rotation", "grip_offset", "grip_rotation", "camera_offset", "camera_rotation",
 )  # fmt: skip
+# What takes all that is left takes half of it or more to first order, where rods move far.
+_PROMISED = 0.2
 # Shares below this are expanded: the quotient of the law has no digits left there.
 _STRAIGHT = 1e-3
 
@@ -117,14 +119,21 @@ def _gone(settling, when: np.ndarray, by_logarithm: bool) -> np.ndarray:
     return np.expm1(-settling * when) / np.expm1(-settling)
 
 
-def with_drift(laboratory, candidates: Sequence[Effect], beside: Fit) -> list[Fit]:
+def with_drift(
+    laboratory, candidates: Sequence[Effect], beside: Fit, to_noise: bool = False
+) -> list[Fit]:
     """Every way in which a candidate may come or go while it is measured, and what a rod remembers,
-    added to a fit as far as it may pay for itself; best first."""
+    added to a fit as far as it may pay for itself; best first.
+
+    Args:
+        to_noise: leave out what will hardly take all that is left.
+    """
     known, asked = effects(), {e.name for e in candidates}
     if any(isinstance(e, (Drift, Memory)) for e in candidates):
         return []
     ways: list[Effect] = [Drift(known[name]) for name in _MAY if name in asked]
-    fits = extensions(laboratory, beside, [*ways, memory_of(laboratory, Model(), np.zeros(0))])
+    ways.append(memory_of(laboratory, Model(), np.zeros(0)))
+    fits = extensions(laboratory, beside, ways, share=_PROMISED if to_noise else 0.0)
     best = [settled(laboratory, fit) for fit in fits[:1]]
     return best_of_each(
         [*best, *(f for fit in best for f in by_another_law(laboratory, fit)), *fits]

@@ -166,7 +166,7 @@ def _opening(
         near = _reaches_noise(laboratory, singles[0])
     if near:
         return _Opening(singles, [], True)
-    drifting = with_drift(laboratory, pool, empty) if build else []
+    drifting = with_drift(laboratory, pool, empty, to_noise=True) if build else []
     if drifting and _reaches_noise(laboratory, drifting[0]):
         pool += drifting[0].model.effects
         return _Opening(best_of_each([*singles, *drifting]), [], True)
@@ -185,7 +185,7 @@ def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, k
     """
     alone, empty = opening.singles, base_fit(laboratory)
     if not known:
-        also = with_drift(laboratory, pool, alone[0])
+        also = with_drift(laboratory, pool, alone[0], to_noise=True)
         if also and _reaches_noise(laboratory, also[0]):
             pool += [e for e in also[0].model.effects if e not in pool]
             return _search(laboratory, pool, _Opening(alone, [*opening.pairs, also[0]], True))

@@ -69,13 +69,20 @@ def evident(fit: Fit) -> float:
 
 
 def extensions(
-    laboratory, current: Fit, candidates, *, rival: float = np.inf, before: Sequence[Fit] = ()
+    laboratory,
+    current: Fit,
+    candidates,
+    *,
+    rival: float = np.inf,
+    before: Sequence[Fit] = (),
+    share: float = 0.0,
 ) -> list[Fit]:
     """Every candidate added to the current model that may pay for its parameters, best first.
 
     Args:
         rival: chi squared of another model that is already there.
         before: fits of such models with other weights, to start from.
+        share: of the squares beyond noise's that a candidate has to take to first order.
     """
     models, starts, origins = [], [], []
     known = {f.model.effects: f for f in before}
@@ -91,7 +98,9 @@ def extensions(
                 models.append(current.model.extended(effect))
                 starts.append(start)
                 origins.append(own or current)
-    return best_of_each(_fit(laboratory, models, starts, current, rival=rival, origins=origins))
+    least = share * max(current.chi_squared - current.residual_count, 0.0)
+    fits = _fit(laboratory, models, starts, current, rival=rival, origins=origins, promised=least)
+    return best_of_each(fits)
 
 
 def has_profile(model: Model) -> bool:
@@ -276,7 +285,9 @@ def on_finer_mesh(laboratory: Laboratory, fit: Fit) -> Fit:
     return polished
 
 
-def _fit(laboratory, models, starts, origin, rival: float = np.inf, origins=None) -> list[Fit]:
+def _fit(
+    laboratory, models, starts, origin, rival: float = np.inf, origins=None, promised: float = 0.0
+) -> list[Fit]:
     if not models:
         return []
     # Half of what would let it join, for the problem is not linear.
@@ -285,6 +296,7 @@ def _fit(laboratory, models, starts, origin, rival: float = np.inf, origins=None
     least = [0.5 * (BIC_MARGIN + price * (len(v) - paid)) for v in starts]
     if origins:  # what begins where it was fitted has no more to gain
         least = [n if one is origin else 0.0 for n, one in zip(least, origins, strict=True)]
+    least = [max(n, promised) for n in least]
     fits = fit_models(
         laboratory,
         models,
@@ -293,6 +305,9 @@ def _fit(laboratory, models, starts, origin, rival: float = np.inf, origins=None
         least_gain=least,
         rival=rival,
     )
+    if promised:  # what promises less stands where it began
+        pairs = zip(fits, starts, strict=True)
+        fits = [f for f, start in pairs if not np.array_equal(f.values, start)]
     return _past_folds(laboratory, [f for f in fits if np.isfinite(f.chi_squared)])
 
 
