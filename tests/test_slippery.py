@@ -69,12 +69,18 @@ def test_rods_put_down_exactly_are_compared_and_kept(tmp_path):
     arguments = ["bench", "slippery", "--methods", "put_down", "--frictions", "0.6", "--device"]
     arguments += ["cpu", "--spacing", "0.02", "--step", "0.02", "--trials", "1", "--undisturbed"]
     arguments += ["--rods", "green-vps", "--names", "letter-U", "--out"]
+    none = CliRunner().invoke(main, [*arguments, str(tmp_path), "--finished"])
+    assert none.exit_code == 2 and "none of these is finished" in none.output
     for _ in range(2):  # the second time nothing is simulated
         result = CliRunner().invoke(main, [*arguments, str(tmp_path)])
         assert result.exit_code == 0, result.output
         assert "green-vps, letter-U, friction 0.6: put_down 0.0" in result.output
     assert len((tmp_path / "trials.jsonl").read_text().splitlines()) == 2
     assert (tmp_path / "slippery.png").stat().st_size > 10_000
+    more = [*arguments, str(tmp_path), "--frictions", "0.3,0.6", "--finished"]
+    told = CliRunner().invoke(main, more)
+    assert told.exit_code == 0 and "friction 0.6: put_down 0.0" in told.output, told.output
+    assert "friction 0.3" not in told.output
 
 
 def test_what_is_put_down_goes_with_the_robot_and_is_the_rod_of_the_trial():

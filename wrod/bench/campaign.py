@@ -10,6 +10,7 @@ import numpy as np
 
 from wrod import cost
 from wrod.deployment.bounds import check_release, refuse_long_moves
+from wrod.errors import RodError
 from wrod.files.ledger import Ledger
 from wrod.options import FOLDER, SCHEME, SOURCE_FOLDER, option
 
@@ -56,6 +57,24 @@ def run(
             ledger.add(rows)
             steps += sum(row["steps"] for row in rows)
     return len(pending), steps
+
+
+def still_to_lay(
+    ledger: Ledger, keys: Sequence[tuple], finished: bool
+) -> tuple[list[tuple], list[tuple]]:
+    """Which of the trials are told, and which of these the ledger lacks: all that are wanted, or
+    those alone that are finished.
+
+    Raises:
+        RodError: none is.
+    """
+    lacking = ledger.lacking(keys)
+    if not finished:
+        return list(keys), lacking
+    done = [key for key in keys if key not in lacking]
+    if not done:
+        raise RodError(f"{ledger.path}: none of these is finished; leave --finished out")
+    return done, []
 
 
 def _at_once(trials: int, batch: int | None, device: str) -> int:

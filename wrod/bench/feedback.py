@@ -76,7 +76,7 @@ def command(
     a careful laboratory, and the effect comes on top. An effect is made up for where it leaves no
     more than 1.5 times the error of trials without it.
     """
-    from wrod.bench import courses
+    from wrod.bench import campaign, courses
     from wrod.bench.slippery import Shelf, some
     from wrod.deployment.effort import looking_on
     from wrod.files import row_schemas
@@ -96,9 +96,7 @@ def command(
         (*place, effect, way, one)
         for one, way, effect, place in product(range(seed, seed + seeds), asked, chosen, places)
     ]
-    lacking = ledger.lacking(keys)
-    if finished:
-        keys, lacking = [key for key in keys if key not in lacking], []
+    keys, lacking = campaign.still_to_lay(ledger, keys, finished)
     jobs = [(shelf, key, how) for key in lacking]
     unplanned = sorted({job[1][:2] for job in jobs})
     seconds = shelf.effort((*place, how["friction"]) for place in unplanned)

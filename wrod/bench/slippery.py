@@ -61,13 +61,36 @@ _ROWS = 2
 _GENTLE = 0.4
 
 
+@dataclass(frozen=True)
+class _Disturbing:
+    """What of a laboratory's disturbances the trials have."""
+
+    undisturbed: bool = option("Lay the planned rod, placed as planned.")
+    disturbed: str | None = option(
+        "What alone disturbs the trials: jitter, lgb_error, placement, "
+        "yaw, natural_curvature; default: all."
+    )
+
+    @property
+    def kinds(self) -> list[str]:
+        from wrod.deployment.setup import DEVIATIONS
+
+        if self.undisturbed and self.disturbed is not None:
+            raise RodError("--undisturbed leaves nothing for --disturbed to choose; leave one out")
+        if self.disturbed is not None:
+            return some(self.disturbed, "disturbance", tuple(DEVIATIONS))
+        return [] if self.undisturbed else list(DEVIATIONS)
+
+
 @click.command(name="slippery")
 @own_options
 @gathered("common", campaign.Common, speed=0.04, step=0.01, spacing=0.005)
+@gathered("disturbing", _Disturbing)
 @json_option
 @cost.force_option
 def command(
     common: campaign.Common,
+    disturbing: _Disturbing,
     frictions: str = option("Of the tables.", default="0.1,0.2,0.3,0.6,1"),
     rods: str = option("With commas between them.", default="green-vps,rope,pink-vps"),
     names: str = option("Patterns.", default="sine,letter-U,letter-C,letter-L,letter-A"),
@@ -85,11 +108,7 @@ def command(
     left: float | None = option(
         "What hangs when the pattern is laid [L_gb]; default: all, held at the rod's end."
     ),
-    undisturbed: bool = option("Lay the planned rod, placed as planned."),
-    disturbed: str | None = option(
-        "What alone disturbs the trials: jitter, lgb_error, placement, "
-        "yaw, natural_curvature; default: all."
-    ),
+    finished: bool = option("Tell what is finished in OUT, and lay nothing."),
     workers: int = option("Processes, on a CPU.", default=1),
 ) -> None:
     """Lay patterns by plans that do not know their table and by plans that do.
@@ -104,7 +123,7 @@ def command(
 
     out = common.out
     chosen, played = some(methods, "method", METHODS), some(engines, "engine", ENGINES)
-    by = _disturbing(undisturbed, disturbed)
+    by = disturbing.kinds
     if "mujoco" in played:
         require_mujoco()
     device = resolve_device(common.device)
@@ -125,14 +144,13 @@ def command(
         for cell in cells
         if cell[3] not in _OWN or cell[4] == "wrod"
     ]
-
-    jobs = [(shelf, key, how) for key in ledger.lacking(keys)]
+    keys, lacking = campaign.still_to_lay(ledger, keys, finished)
+    jobs = [(shelf, key, how) for key in lacking]
     longest = max(shelf.course(*cell[:2])[1].length for cell in cells)
-    campaign.settle(common, len(jobs), longest, _effort(shelf, [key for _, key, *_ in jobs]))
-    shelf.stock([(*key[:3], _CORRECTED[key[3]]) for _, key, *_ in jobs if key[3] in _CORRECTED],
-                workers)  # fmt: skip
-    begun = len(keys) - len(jobs)
-    with cost.progress_bar(total=len(keys), initial=begun, unit="trial") as bar:
+    campaign.settle(common, len(jobs), longest, _effort(shelf, lacking))
+    made = [(*key[:3], _CORRECTED[key[3]]) for key in lacking if key[3] in _CORRECTED]
+    shelf.stock(made, workers)
+    with cost.progress_bar(total=len(keys), initial=len(keys) - len(jobs), unit="trial") as bar:
 
         def note(_, row: dict) -> None:
             ledger.add([row])
@@ -156,17 +174,6 @@ def _effort(shelf: Shelf, keys: list[tuple]) -> float:
     plans = [cell[:3] for cell in made if cell[3] in _OPTIMISED]
     looks = [looking_on(shelf.course(*key[:2])[0]) for key in keys if key[3] == "feedback"]
     return shelf.effort(plans) + sum(looks)
-
-
-def _disturbing(undisturbed: bool, disturbed: str | None) -> list[str]:
-    """What of a laboratory's disturbances the trials have."""
-    from wrod.deployment.setup import DEVIATIONS
-
-    if undisturbed and disturbed is not None:
-        raise RodError("--undisturbed leaves nothing for --disturbed to choose; leave one out")
-    if disturbed is not None:
-        return some(disturbed, "disturbance", tuple(DEVIATIONS))
-    return [] if undisturbed else list(DEVIATIONS)
 
 
 def some(names: str, what: str, known: tuple[str, ...]) -> list[str]:
