@@ -9,6 +9,7 @@ import json
 import os
 import random
 import zipfile
+import zlib
 
 import numpy as np
 
@@ -217,6 +218,25 @@ def broken_rows(valid: list[str], draw: random.Random) -> tuple[str, str]:
     return what, "\n".join(lines)
 
 
+def _write_bomb(path, array, count: int) -> None:
+    """An .npz of so many arrays alike, packed once."""
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    data, packing = buffer.getvalue(), zlib.compressobj(1, zlib.DEFLATED, -15)
+    packed, crc = packing.compress(data) + packing.flush(), zlib.crc32(data)
+    with zipfile.ZipFile(path, "w") as file:
+        for k in range(count):
+            one = zipfile.ZipInfo(f"a{k}.npy")
+            one.compress_type, one.CRC = zipfile.ZIP_DEFLATED, crc
+            one.compress_size, one.file_size = len(packed), len(data)
+            one.header_offset = file.fp.tell()
+            file.fp.write(one.FileHeader() + packed)
+            file.filelist.append(one)
+            file.NameToInfo[one.filename] = one
+            file.start_dir = file.fp.tell()
+        file._didModify = True
+
+
 def foreign_files(folder) -> dict:
     """Files that are nothing that any command reads, by kind."""
     folder.mkdir(exist_ok=True)
@@ -248,11 +268,7 @@ def foreign_files(folder) -> dict:
         found[name].write_bytes(content)
     bomb = folder / "bomb.npz"
     if not bomb.exists():
-        buffer = io.BytesIO()
-        np.save(buffer, np.zeros(2**23))
-        with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
-            for k in range(12):
-                file.writestr(f"a{k}.npy", buffer.getvalue())
+        _write_bomb(bomb, np.zeros(2**23), 12)
     found["bomb"] = bomb
     hole = folder / "hole"
     with open(hole, "wb") as file:

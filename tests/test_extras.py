@@ -6,7 +6,8 @@ import sys
 import pytest
 
 _PROGRAM = """
-import sys
+import gc, sys
+gc.disable()
 class Without:
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in {hidden!r}:

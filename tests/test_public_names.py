@@ -15,7 +15,8 @@ import wrod
 
 ROOT = Path(__file__).parents[1]
 _IMPORT_ALL = """
-import json, sys
+import gc, json, sys
+gc.disable()
 sys.path[:0] = json.loads(sys.argv[1])
 import wrod
 places = {name: getattr(wrod, name).__module__ for name in wrod.__all__}

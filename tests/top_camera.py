@@ -100,7 +100,7 @@ class TopCamera:
         fine = SUPERSAMPLING
         width, height = self.size
         canvas = np.empty((height * fine, width * fine, 3), np.uint8)
-        canvas[:] = table
+        cv2.rectangle(canvas, (0, 0), canvas.shape[1::-1], table, cv2.FILLED)
         if layout is not None:
             self._draw_sheet(canvas, layout)
         strokes = []
@@ -133,7 +133,9 @@ class TopCamera:
         picture = cv2.GaussianBlur(picture, (0, 0), 0.6)
         if noise > 0:
             grain = np.random.default_rng(seed).normal(0.0, noise, picture.shape)
-            picture = np.clip(np.round(picture + grain), 0, 255).astype(np.uint8)
+            grain += picture
+            np.rint(grain, out=grain)
+            picture = np.clip(grain, 0.0, 255.0, out=grain).astype(np.uint8)
         return picture
 
     def _draw_sheet(self, canvas: np.ndarray, layout: MarkerLayout) -> None:
