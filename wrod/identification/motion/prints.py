@@ -23,6 +23,8 @@ _BLOCKS = 4
 _LEAST_STEP, _MOST_STEPS = 0.03, 4
 # Rounds in which what no print takes away, and so the weight of every number, settles.
 _ROUNDS = 3
+# Exchanges of bounds at most, many times what there are.
+_EXCHANGES = 1000
 _WITHOUT_STIFFNESS = {"force_with_acceleration", "force_in_laboratory"}
 
 
@@ -275,7 +277,8 @@ class _Regression:
             a = h[mask].sum(axis=0) + penalty
             root = np.linalg.cholesky(a + 1e-12 * np.trace(a) / len(a) * np.eye(len(a)))
             target = np.linalg.solve(root, g[mask].sum(axis=0))
-            return lsq_linear(root.T, target, (lower, upper)).x
+            how = {"method": "bvls", "max_iter": _EXCHANGES}
+            return lsq_linear(root.T, target, (lower, upper), **how).x
 
         return solve
 
