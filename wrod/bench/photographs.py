@@ -104,7 +104,7 @@ def _lay_all(photographs, laid, drawn: int | None) -> dict:
         [
             *((p, "int", scenarios_of(p.rod, drawn)) for p in photographs),
             *((p, "opt", straight_held()) for p in photographs),
-            *(one for asked in looked.values() for one in asked.wanted),
+            *(one for _, wanted in looked.values() for one in wanted),
         ]
     )
     return looked

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from wrod.bench.photographs_deployments import Deployments, Wanted
+from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_irregular import (
     LAID,
     Irregular,
@@ -163,49 +163,39 @@ def _rolled(k: int) -> str:
     return f"rolled by {360 * k // _ROLLS}"
 
 
-@dataclass(frozen=True)
-class LinesMechanisms:
-    """What is laid beside the photographs of a rod to tell its line's waves.
-
-    Attributes:
-        own: by pattern; bent: bends at random that would lay the line; every: mechanisms by name.
-    """
-
-    own: dict[str, LaidPhotograph]
-    bent: Irregular
-    every: dict[str, Mechanism]
-
-    @property
-    def wanted(self) -> list[Wanted]:
-        return [(photograph, "int", self.every) for photograph in self.own.values()]
+# A photograph and how its mechanisms are laid.
+_Wanted = tuple[LaidPhotograph, str, dict[str, Mechanism]]
 
 
-def looked_at(photographs: list[LaidPhotograph]) -> dict[str, LinesMechanisms]:
-    """Of those of `RODS` that were photographed along all of `PATTERNS`."""
+def looked_at(photographs: list[LaidPhotograph]) -> dict[str, tuple[Irregular, list[_Wanted]]]:
+    """Of those of `RODS` that were photographed along all of `PATTERNS`: bends at random that would
+    lay the line, and all mechanisms, to be laid along each pattern."""
     found = {}
     for rod in RODS:
-        by_name = {p.pattern_name: p for p in photographs if p.rod == rod}
-        if all(name in by_name for name in PATTERNS):
-            own = {name: by_name[name] for name in PATTERNS}
+        own = {p.pattern_name: p for p in photographs if p.rod == rod}
+        if all(name in own for name in PATTERNS):
             bent = irregular(rod, own["line"].points, seen_wave(own["line"].points))
             every = {one.name: one for one in mechanisms(rod, bent.size)}
-            found[rod] = LinesMechanisms(own, bent, every)
+            found[rod] = bent, [(own[name], "int", every) for name in PATTERNS]
     return found
 
 
 def waves(
-    rods: dict[str, LinesMechanisms], camera: OverheadCamera, laid: Deployments, out: Path
+    looked: dict[str, tuple[Irregular, list[_Wanted]]],
+    camera: OverheadCamera,
+    laid: Deployments,
+    out: Path,
 ) -> tuple[dict, list[Path]]:
-    """Lay every mechanism along the patterns of `RODS`; tables, and pictures of the lines."""
+    """Lay all that `looked_at` found; tables, and pictures of the lines."""
     found: dict[str, Any] = {"rods": {}, "text": ""}
     files, scattered = [], {}
-    wanted = [one for asked in rods.values() for one in asked.wanted]
+    wanted = [one for _, own in looked.values() for one in own]
     laid.prepare(wanted)
     jobs = [(*one, laid.of(*one), camera) for one in wanted]
     seen = iter(laid.map(_placed_and_scattered, jobs))
-    for rod, asked in rods.items():
-        of_rod = {name: next(seen) for name in asked.own}
-        figures, path, scattered[rod] = _waves_of(rod, asked, of_rod, out)
+    for rod, (bent, own) in looked.items():
+        of_rod = {name: next(seen) for name in PATTERNS}
+        figures, path, scattered[rod] = _waves_of(rod, bent, own[0], of_rod, out)
         found["rods"][rod] = figures
         found["text"] += figures.pop("text")
         files.append(path)
@@ -216,21 +206,21 @@ def waves(
     return found, files
 
 
-def _waves_of(rod: str, asked: LinesMechanisms, found: dict, out: Path):
-    own, every = asked.own, list(asked.every.values())
+def _waves_of(rod: str, bent: Irregular, line: _Wanted, found: dict, out: Path):
+    photograph, _, every = line
     rows: list[dict[str, Any]] = []
     lines: dict[str, Alignment | None] = {}
-    for cause in dict.fromkeys(one.cause for one in every):
-        senses = [one for one in every if one.cause == cause]
+    for cause in dict.fromkeys(one.cause for one in every.values()):
+        senses = [one for one in every.values() if one.cause == cause]
         best = min(senses, key=lambda one: _mean(found["line"][0][one.name]))
-        line = lines[cause] = found["line"][0][best.name]
+        laid = lines[cause] = found["line"][0][best.name]
         rows.append(
             {
                 "cause": cause,
                 "sense": best.sense,
                 "senses": len(senses),
-                "line_mm": 1e3 * _mean(line),
-                "height_mm": 0.0 if line is None else 1e3 * _height(line.curve),
+                "line_mm": 1e3 * _mean(laid),
+                "height_mm": 0.0 if laid is None else 1e3 * _height(laid.curve),
                 # How a rod is rolled in the grip may differ from picture to picture.
                 **{
                     f"{name}_mm": [1e3 * _mean(found[name][0][one.name]) for one in senses]
@@ -238,7 +228,7 @@ def _waves_of(rod: str, asked: LinesMechanisms, found: dict, out: Path):
                 },
             }
         )
-    seen = 1e3 * _height(own["line"].points)
+    seen = 1e3 * _height(photograph.points)
     head = ("mechanism (the line's best sense)", "senses", "line", "its height", "others, best")
     told = [
         [f"{r['cause']}{r['sense'] and ', ' + r['sense']}", f"{r['senses']}",
@@ -252,9 +242,9 @@ def _waves_of(rod: str, asked: LinesMechanisms, found: dict, out: Path):
         "",
         *table((*head, "all"), told),
     ]
-    path = _draw(own["line"], lines, out / f"waves-{rod}.png")
+    path = _draw(photograph, lines, out / f"waves-{rod}.png")
     far = {name: scattered for name, (_, scattered) in found.items()}
-    figures = {"rows": rows, "seen_mm": seen, "irregular": asdict(asked.bent)}
+    figures = {"rows": rows, "seen_mm": seen, "irregular": asdict(bent)}
     figures["scatter"] = {name: asdict(one) for name, one in far.items()}
     return {**figures, "text": "\n".join(text) + "\n\n"}, path, far
 
