@@ -11,7 +11,7 @@ normal. N is held while Newton iterates, as in Li et al. 2020, so that the matri
 symmetric and exact but for the turning of the pair; in balance it is compared with what the pairs
 press then, and taken anew where a bristle slides, or would, and they differ. A step ends with
 friction within a twentieth of mu times the load at its end; on a post (`load_on_post`) loads are
-followed over steps.
+followed over steps, on a thick one within each, to a hundredth.
 """
 
 import warp as wp
@@ -37,9 +37,14 @@ MOST_RENEWALS = wp.constant(2)
 SETTLED = wp.constant(wp.float64(1.0e-10))
 NOTHING = wp.constant(wp.float64(0.01))
 MOST_TO_SETTLE = wp.constant(40)
-# A rod so many times as thick as another is a post to it, over which its loads are spread.
+# A rod so many times as thick as another is a post to it, over which its loads are spread, and a
+# thick one: turning little from edge to edge, loads settle there within a step. On others steps
+# that tried it did not converge.
 POST = wp.constant(wp.float64(2.0))
-# Part of the way that loads go on a post at once, and the part of them that is left at least.
+THICK_POST = wp.constant(wp.float64(18.0))
+STALE_ON_THICK = wp.constant(wp.float64(0.01))
+# Part of the way that loads go on a post at once, but on a thick one, and the part of them that is
+# left at least.
 GENTLY = wp.constant(wp.float64(0.25))
 LEAST_LEFT = wp.constant(wp.float64(0.1))
 # Residual over the tolerance from which on loads are taken anew: to come nearer to balance under
@@ -106,10 +111,11 @@ def add_pair_force(
 
 
 @wp.func
-def is_on_post(m: Pieces, r: int, i: int, j: int) -> bool:
-    """Whether one of two edges is so thick beside the other that this lies on it as on a post."""
+def is_on_post(m: Pieces, thicker: wp.float64, r: int, i: int, j: int) -> bool:
+    """Whether one of two edges is so many times as thick as the other, which lies on it as on a
+    post."""
     thick = wp.max(m.radius[r, i], m.radius[r, j])
-    return thick > POST * wp.min(m.radius[r, i], m.radius[r, j])
+    return thick > thicker * wp.min(m.radius[r, i], m.radius[r, j])
 
 
 @wp.func
@@ -117,6 +123,7 @@ def load_on_post(
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
     excess: wp.array3d(dtype=wp.float64),
+    part: wp.float64,
     force: wp.float64,
     load: wp.float64,
     r: int,
@@ -128,7 +135,7 @@ def load_on_post(
     Pulled at its surface, an edge leans on its end, and its neighbour is relieved: loads that were
     taken as they come would swing from edge to edge without end, and friction with them, which
     pulls by its greater half. So what they are off by, `excess`, is averaged with that of the pairs
-    beside, and the way is gone in part. Where it leads to is the same.
+    beside, and a `part` of the way is gone. Where it leads to is the same.
     """
     j = partner[r, i, k]
     sum = wp.float64(0.0)
@@ -144,7 +151,7 @@ def load_on_post(
                     sum += excess[r, e, o]
                     beside += ONE
     own = excess[r, i, k]
-    change = HALF * GENTLY * (own + wp.where(beside > ZERO, sum / wp.max(beside, ONE), own))
+    change = HALF * part * (own + wp.where(beside > ZERO, sum / wp.max(beside, ONE), own))
     return wp.max(load + change, LEAST_LEFT * wp.min(force, load))
 
 
@@ -274,9 +281,8 @@ def renew_loads(
     out of date. A pair that meets in this step rubs from the next one on, and is told of where it
     came too far at once."""
     r, i, slot = wp.tid()
-    renews = renewals[r] < wp.where(settles != 0, MOST_TO_SETTLE, MOST_RENEWALS)
     if converged[r] == 0:
-        if not renews or active[r] == 0:
+        if renewals[r] >= MOST_TO_SETTLE or active[r] == 0:
             return
         if residual[r] > NEARLY * tolerance[r]:
             return
@@ -289,10 +295,11 @@ def renew_loads(
                 if meets_fast(m, near, step[r], reach[r], velocity, r, i, j):
                     wp.atomic_max(renewed_out, r, 2)
             continue
-        if not renews:
+        thick = settles == 0 and is_on_post(m, THICK_POST, r, i, j)
+        if renewals[r] >= wp.where(settles != 0 or thick, MOST_TO_SETTLE, MOST_RENEWALS):
             continue
         c = pair_contact(m, rubbing, step[r], dof, dof_before, False, r, i, j, k)
-        stale = STALE * wp.max(c.force, old)
+        stale = wp.where(thick, STALE_ON_THICK, STALE) * wp.max(c.force, old)
         if settles != 0:
             stale = SETTLED * wp.max(c.force, old) + NOTHING * tolerance[r]
         if wp.abs(c.force - old) > stale:
@@ -301,8 +308,9 @@ def renew_loads(
             wanted = m.law[r].tangential * wp.length(c.stretched)
             if mu > ZERO and wanted > mu * wp.min(c.force, old):
                 next = wp.float64(c.force)
-                if settles == 0 and c.force > ZERO and is_on_post(m, r, i, j):
-                    next = load_on_post(partner_count, partner, excess, c.force, old, r, i, k)
+                if settles == 0 and c.force > ZERO and is_on_post(m, POST, r, i, j):
+                    part = wp.where(thick, ONE, GENTLY)
+                    next = load_on_post(partner_count, partner, excess, part, c.force, old, r, i, k)
                     if wp.abs(next - old) <= stale:
                         continue
                 rubbing.load[r, i, k] = next
@@ -355,8 +363,9 @@ def settle_friction(
         rubbing.bristle[r, i, k] = wp.where(c.force > ZERO, ONE, ZERO) * c.bristle
         old = rubbing.load[r, i, k]
         next = wp.float64(c.force)
-        if c.force > ZERO and c.slid > ZERO and old > ZERO and is_on_post(m, r, i, j):
-            next = load_on_post(partner_count, partner, excess, c.force, old, r, i, k)
+        if c.force > ZERO and c.slid > ZERO and old > ZERO and is_on_post(m, POST, r, i, j):
+            part = wp.where(is_on_post(m, THICK_POST, r, i, j), ONE, GENTLY)
+            next = load_on_post(partner_count, partner, excess, part, c.force, old, r, i, k)
         load[r, i, k] = next
         rubbing.sliding[r, i, k] = 0
         if c.force > ZERO:
