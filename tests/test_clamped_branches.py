@@ -257,9 +257,7 @@ def ribbons(seed, reach, turn):
     ("seed", "reach", "turn"),
     (
         (1, (0.3, 0.6), 10.0),
-        (2, (0.3, 0.6), 30.0),
         (3, (0.2, 0.5), 30.0),
-        (11, (0.3, 0.6), 20.0),
     ),
 )
 def test_a_ribbon_in_strong_bends_is_found_though_it_may_roll_to_either_side(seed, reach, turn):
