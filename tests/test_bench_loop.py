@@ -62,7 +62,7 @@ def test_loop_is_closed(tmp_path, controllers):
     assert list(model.natural_curvature) == found["model"]["natural_curvature"]
     rows = {(row["effect"], row["controller"], row["plan"]): row for row in figures["rows"]}
     assert len(rows) == 3 * len(controllers) and not any(row["diverged"] for row in rows.values())
-    # More than half of what the effect adds to the error of a rod without it goes. Not half of the
+    # Most of what the effect adds to the error of a rod without it goes. Not of the
     # whole error: the table holds a rod's roll up to mu_r N R only, so that the curved rod that was
     # laid as a straight one rolls part of the way to where it bends (0.22 cm; 0.38 cm where its
     # roll is held however large the torque).
@@ -70,7 +70,7 @@ def test_loop_is_closed(tmp_path, controllers):
         without = rows["none", controller, "old"]["error_mean"]
         before = rows["natural_curvature", controller, "old"]["error_mean"] - without
         after = rows["natural_curvature", controller, "new"]["error_mean"] - without
-        assert after < 0.5 * before
+        assert after < 0.15 * before
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"natural_curvature", "loop.csv", "loop.md", "loop.png"}
     with open(tmp_path / "loop.csv", newline="") as file:
