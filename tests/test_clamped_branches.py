@@ -257,7 +257,9 @@ def ribbons(seed, reach, turn):
     ("seed", "reach", "turn"),
     (
         (1, (0.3, 0.6), 10.0),
+        pytest.param(2, (0.3, 0.6), 30.0, marks=pytest.mark.slow),
         (3, (0.2, 0.5), 30.0),
+        pytest.param(11, (0.3, 0.6), 20.0, marks=pytest.mark.slow),
     ),
 )
 def test_a_ribbon_in_strong_bends_is_found_though_it_may_roll_to_either_side(seed, reach, turn):
@@ -294,6 +296,9 @@ def test_what_rods_beside_a_fold_tell_is_fitted():
     root = rng.normal(size=(5, 5))
     matrix = root @ root.T + np.eye(5)
     assert np.allclose(solved(matrix, np.eye(5)), np.linalg.inv(matrix), rtol=1e-10)
+    assert np.allclose(solved(np.diag([1e18, 100.0]), np.array([0.0, 100.0])), [0.0, 1.0])
+    assert solved(np.zeros((0, 0)), np.zeros(0)).shape == (0,)  # all are at their bounds
+    assert np.isnan(solved(np.full((2, 2), np.nan), np.ones(2))).all()
     lab = Laboratory(measured(arch(0.12, 0.06, 0.034, height=0.33)), edge_count=24)
     (fit,) = fit_models(lab, [Model((Edge(),))], [np.zeros(2)])
     assert fit.converged and fit.chi_squared <= base_fit(lab).chi_squared

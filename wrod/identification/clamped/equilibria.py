@@ -34,8 +34,9 @@ from wrod.rods.state import RodState
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _WAYPOINTS = 8
-# Over the force scale, by how much a wind's load is another one where rods have moved to.
-_SAME_WIND = 1e-9
+# Over the force scale, by how much a wind's load is another one where rods have moved to; a rod at
+# which it goes on changing by more than the second is not at rest.
+_SAME_WIND, _SETTLED_WIND = 1e-9, 1e-6
 _PATIENCE, _WALK_PATIENCE, _FALL_PATIENCE = 12, 60, 150
 
 
@@ -160,12 +161,13 @@ class ClampedSolver:
             )
             self.negative = result.negative_pivots
             if not windy:
-                break
+                return result.converged
             load = wind_load(batch.positions(), wind)
-            change = np.abs(load - before).max(initial=0.0, where=np.isfinite(load))
-            if change <= _SAME_WIND * solver.force_scale.numpy().max():
+            # Of each rod, over its forces; that of one which is lost is NaN.
+            change = np.abs(load - before).max(axis=(1, 2)) / solver.force_scale.numpy()
+            if not (change > _SAME_WIND).any():
                 break
-        return result.converged
+        return result.converged & ~(change > _SETTLED_WIND)
 
     def _find(self, setups: Sequence[ClampedSetup], poses, shape) -> None:
         """Lead every rod to its poses, and from there to its branch."""

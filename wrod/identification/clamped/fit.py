@@ -151,10 +151,22 @@ def fit_models(
 
 def solved(matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:
     """Solution of normal equations in units of the priors, which are part of them: directions that
-    double precision loses, as beside a fold, where one trial outweighs all, are the priors' own."""
-    size, modes = np.linalg.eigh(matrix)
-    lost = size < len(size) * np.finfo(float).eps * size[-1]
-    return (modes / np.where(lost, 1.0, size)) @ (modes.T @ rhs)
+    double precision loses, as beside a fold, where one trial outweighs all, are the priors' own.
+    NaN where the equations are not finite."""
+    if not np.isfinite(matrix).all():
+        return np.full_like(rhs, np.nan)
+    # One parameter that is known much better than another is no direction that is lost.
+    scale = np.sqrt(np.diag(matrix))
+    by = scale.reshape(-1, *[1] * (rhs.ndim - 1))
+    size, modes = np.linalg.eigh(matrix / np.outer(scale, scale))
+    lost = size < len(size) * np.finfo(float).eps
+    of_priors = ((modes / scale[:, None]) ** 2).sum(axis=0)
+    return (modes / np.where(lost, of_priors, size)) @ (modes.T @ (rhs / by)) / by
+
+
+def of_trials_with_rates(rates: np.ndarray) -> np.ndarray:
+    """Rates (trial, reading, parameter), 0 of a trial without: on a fold a rod has no rate."""
+    return np.where(np.isfinite(rates).all(axis=(1, 2), keepdims=True), rates, 0.0)
 
 
 def _state_of(laboratory: Laboratory, origin: Fit | None, trials) -> tuple[np.ndarray, ...]:
@@ -250,7 +262,9 @@ class _Iteration:
                     c = active[k]
                     first = normal[c] is None
                     normal[c] = self._normal(c, k, setups[k], readings, rates[k])
-                    moves[c] = rates[k][:, : self.coordinates] * self.scales[c]
+                    moves[c] = (
+                        of_trials_with_rates(rates[k])[:, : self.coordinates] * self.scales[c]
+                    )
                     matrix, rhs = normal[c]
                     if first and rhs @ solved(matrix, rhs) < self.least_gain[c]:
                         converged[c] = True
@@ -304,8 +318,6 @@ class _Iteration:
         scale = self.scales[c]
         jacobian = self.laboratory.whiten(rates, self.trials)
         jacobian *= self.weights[c][:, None, None] * scale
-        # On a fold itself a rod has no rate.
-        jacobian[~np.isfinite(jacobian).all(axis=(1, 2))] = 0.0
         matrix = np.einsum("trp,trq->pq", jacobian, jacobian) + np.eye(len(scale))
         away = (self.values[c] - self.means[c]) / scale
         return matrix, np.einsum("trp,tr->p", jacobian, residual) - away

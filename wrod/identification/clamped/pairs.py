@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.clamped.equilibria import ClampedSolver
-from wrod.identification.clamped.fit import solved
+from wrod.identification.clamped.fit import of_trials_with_rates, solved
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Effect, Model
@@ -39,6 +39,7 @@ def likely_pairs(
     for group in ([e for e in candidates if e.follows_shape == windy] for windy in (False, True)):
         for effect, start, seen, rates in _linearised(laboratory, group):
             scale = np.array([p.scale for p in effect.parameters])
+            rates = of_trials_with_rates(rates)
             blocks.append((laboratory.whiten(rates, m.train) * scale).reshape(residual.size, -1))
             columns = slice(first, first + len(start))
             first += len(start)

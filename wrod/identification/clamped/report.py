@@ -187,8 +187,8 @@ def identify_clamped(
 
 
 def _refuse_sized_at_zero(laboratory: Laboratory, chosen: Sequence[Effect]) -> None:
-    """Raise where an effect is not the base model with all its parameters at zero, as fits, priors
-    and known equilibria take it to be."""
+    """Raise where an effect is not the base model in the first trial with all its parameters at
+    zero, as fits, priors and known equilibria take it to be."""
     first = laboratory.trials[:1]
     base = ClampedSetup.base(laboratory.measurements, first, laboratory.edge_count)
     state, read = tuple(a[first] for a in laboratory.base_state), laboratory.read[first]
@@ -201,7 +201,12 @@ def _refuse_sized_at_zero(laboratory: Laboratory, chosen: Sequence[Effect]) -> N
     for c in range(1, len(models)):
         seen = laboratory.observed(models[c], values[c], setups[c], prediction, c).real
         away = np.abs(seen - plain)[read] / laboratory.deviation[first][read]
-        off = away.max() if reached[c] else np.inf
+        if not reached[c]:
+            raise DataError(
+                f"effect {models[c].names[0]!r} leaves the rod no equilibrium where all its "
+                "parameters are zero; let zero be the base model"
+            )
+        off = away.max(initial=0.0)
         if not off < _NOTHING:
             raise DataError(
                 f"effect {models[c].names[0]!r} still changes what is measured, by {off:.2g} of "

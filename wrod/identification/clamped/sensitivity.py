@@ -31,7 +31,8 @@ from wrod.rods.state import node_positions
 from wrod.solvers.banded import BandedSystem, multiply_banded
 from wrod.solvers.steps import unit_pace
 
-WIND_PASSES = 12
+# A strong wind settles slowly.
+WIND_PASSES = 200
 WIND_TOLERANCE = 1e-7
 # What the energy of a law that yields depends on, as the batch and as its elastic model call it.
 _SEEN_BY_YIELD = {
