@@ -42,10 +42,14 @@ def solve_relaxed(
 
     share, every = np.ones(len(arc_length)), np.arange(len(arc_length))
     lgb, remembers = model.gravito_bending_length, model.law.at_rest is None
-    looked = _spread_out(arc_length, _LOOKED * lgb) if remembers else every
+    looked = every
+    if remembers and not model.is_straight:
+        looked = _spread_out(arc_length, _LOOKED * lgb)
     grasps = solve(share, looked)
     lacking = looked[~grasps.converged]
-    if len(lacking) > 0 and not model.is_straight:
+    if model.is_straight or (len(lacking) == 0 and len(looked) == len(every)):
+        return grasps, share
+    if len(lacking) > 0:
         share[lacking] = 0.0
         if remembers:
             # A share that jumped from contact to contact would bend what remembers it.
@@ -63,7 +67,7 @@ def solve_relaxed(
         share = np.interp(arc_length, arc_length[looked], share[looked])
         share = _smooth_below(share, arc_length, _REACH * lgb)
     rows = every if remembers else every[share < 1.0]
-    for _ in range(1 if model.is_straight else _ATTEMPTS):
+    for _ in range(_ATTEMPTS):
         if len(rows) == 0:
             break
         found = solve(share, rows)

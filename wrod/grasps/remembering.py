@@ -68,7 +68,7 @@ def solve_in_order(
         inputs, roll, options: see `general.solve_general`.
     """
     coarse, fine = options.edge_count // 2, options.edge_count
-    sweep = replace(options, eigenvalues=False, shapes=False, curvatures=True, progress=None)
+    sweep = replace(options, eigenvalues=False, shapes=False, curvatures=True)
     for first in range(0, len(roll), _AT_ONCE):
         rows = slice(first, first + _AT_ONCE)
         history.go_on(rows)
@@ -79,6 +79,8 @@ def solve_in_order(
             bent = {coarse: found["coarse"], fine: found["fine"]}
             if history.follow(found["position"], found["converged"], bent):
                 break
+        else:
+            break  # what comes after would remember what is not known
     everything = slice(None)
     found = solve_general(*inputs, history.rods_of(everything), roll, options)
     found["converged"] = found["converged"] & history.settled
@@ -150,6 +152,9 @@ class History:
         self._sweeps += 1
         for edges, curvature in bent.items():
             found = curvature[last]
+            if edges in self._bent:  # what these contacts began with
+                never = ~np.logical_or.accumulate(solved)
+                found[never] = self._bent[edges][never]
             if self._halved:
                 found = 0.5 * (found + self._bent[edges])
             self._bent[edges] = found
