@@ -138,18 +138,19 @@ def least(closure, force):
     return force[:, 2] if closure == "zero_tension" else np.linalg.norm(force, axis=1)
 
 
-@pytest.mark.parametrize("shaken", [0.0, 1e-13])
 @pytest.mark.parametrize("closure", ["zero_tension", "min_force", "min_friction"])
-def test_wires_are_near_the_inextensible_limit(closure, shaken):
+def test_wires_are_near_the_inextensible_limit(closure):
     """What a rod stretches is of first order in 1 / k_s, so that softer rods predict wires (1.5e6
     for a guide wire, 2.6e6 for nitinol of 0.5 mm). Rounding moves a wire's grip by 1e-8 where an
     optimum is flat; no other closure has less of what one has least of."""
     rng = np.random.default_rng(7)
-    ls, kappa = rng.uniform(2.0, 20.0, 40) * (1.0 + shaken), rng.uniform(-2.0, 2.0, 40)
+    ls, kappa = rng.uniform(2.0, 20.0, 40), rng.uniform(-2.0, 2.0, 40)
     soft, stiff, wire = (
         solve_grasps(ls, kappa, k, closure=closure, shapes=False) for k in (1e5, 1e6, 1e7)
     )
     assert wire.converged.all()
+    shaken = solve_grasps(ls * (1.0 + 1e-13), kappa, 1e7, closure=closure, shapes=False)
+    assert np.abs(shaken.position - wire.position).max() < 1e-7
 
     def off(name, measure=np.asarray):
         a, b, c = (measure(getattr(one, name)) for one in (soft, stiff, wire))

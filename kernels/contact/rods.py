@@ -11,7 +11,8 @@ normal. N is held while Newton iterates, as in Li et al. 2020, so that the matri
 symmetric and exact but for the turning of the pair; in balance it is compared with what the pairs
 press then, and taken anew where a bristle slides, or would, and they differ. A step ends with
 friction within a twentieth of mu times the load at its end; on a post (`load_on_post`) loads are
-followed over steps, on a thick one within each, to a hundredth.
+followed over steps, on a thick one within each, to a hundredth, where other loads of the row may be
+left farther off.
 """
 
 import warp as wp
@@ -50,9 +51,9 @@ LEAST_LEFT = wp.constant(wp.float64(0.1))
 # Residual over the tolerance from which on loads are taken anew: to come nearer to balance under
 # the old ones is in vain. Ten times less costs knots that are pulled a sixth more iterations, ten
 # times more a tenth.
+NEARLY = wp.constant(wp.float64(1000.0))
 # A depth that is none.
 TINY = wp.constant(wp.float64(1.0e-300))
-NEARLY = wp.constant(wp.float64(1000.0))
 
 
 # Part of the way that nodes may go in a step by which a pair that meets in it would have come

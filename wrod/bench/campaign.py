@@ -71,7 +71,8 @@ def still_to_lay(
     lacking = ledger.lacking(keys)
     if not finished:
         return list(keys), lacking
-    done = [key for key in keys if key not in lacking]
+    gone = set(lacking)
+    done = [key for key in keys if key not in gone]
     if not done:
         raise RodError(f"{ledger.path}: none of these is finished; leave --finished out")
     return done, []

@@ -116,7 +116,7 @@ def _explain(sets, folds, device):
 def _parameters(fit) -> dict:
     errors = np.sqrt(np.diag(fit.covariance))
     scaled = fit.covariance / np.outer(errors, errors)
-    # Of two that correlate so much neither is known by itself.
+    # The largest correlation with another: near 1 neither is known by itself.
     beside = np.abs(scaled - np.eye(len(errors))).max(axis=1)
     return {
         name: {"value": float(v), "stderr": float(e), "correlates": float(c)}

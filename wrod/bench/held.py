@@ -3,8 +3,8 @@
 A rod that lies on a table bears along itself a force F that friction f changes, F' = -f, and a
 moment that F turns, M' = -t x F; nothing but |f| <= mu w bounds what it may lie in. Of all such
 curves, free at their beginning and held by the grip at the pattern's end, that with the least mean
-distance from the points of the metric is found by sequential quadratic programming (SciPy's SLSQP,
-Kraft 1988).
+(smoothed) distance from the points of the metric is found by sequential quadratic programming
+(SciPy's SLSQP, Kraft 1988).
 """
 
 import numpy as np
@@ -66,7 +66,7 @@ def held(pattern: Pattern, rod: Rod, friction: float) -> tuple[np.ndarray, np.nd
         if not found.success or problem.asked(values) > (1.0 + _MISSES) * bound:
             raise RodError(
                 f"no curve near {pattern.source} that friction {friction:g} holds was found; "
-                "give more"
+                "give more friction"
             )
     place = np.zeros((count + 1, 3))
     place[:, :2] = lgb * problem.statics(values)[0]

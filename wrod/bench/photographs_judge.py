@@ -198,8 +198,9 @@ class _Case:
 
 def _camera(told, without) -> OverheadCamera:
     kept = [one for one in told if one[0].pattern_name != without]
+    photographs, rods, begun = ([one[k] for one in kept] for k in range(3))
     try:
-        return find_camera(*zip(*kept, strict=True))
+        return find_camera(photographs, rods, begun)
     except DataError:
         return OverheadCamera()  # nothing hangs in the few pictures that there are
 

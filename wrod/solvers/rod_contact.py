@@ -165,7 +165,7 @@ class RodContact(OnDevice):
             zeros(wp.int32, edges, partners) for _ in range(4)
         )
         self.bristle, self._new_bristle = (zeros(wp.vec2d, edges, partners) for _ in range(2))
-        # Normal forces at the last end, those that bound friction now, what these miss (or listed).
+        # Normal forces at the last end, those that bound friction now, what these are off by.
         self.depth, self.load, self.held_load, self._new_load = (
             zeros(wp.float64, edges, partners) for _ in range(4)
         )

@@ -160,7 +160,8 @@ def lay(
     """
     if len({scenario.alike for scenario in scenarios}) > 1:
         raise DataError(
-            "scenarios differ in whether the free end is held, or in speed; lay them in two calls"
+            "scenarios differ in whether the free end is held, in speed, or in what else rods of "
+            "one call have alike; lay them in two calls"
         )
     if not scenarios:
         return []
