@@ -277,8 +277,8 @@ class _Regression:
             a = h[mask].sum(axis=0) + penalty
             root = np.linalg.cholesky(a + 1e-12 * np.trace(a) / len(a) * np.eye(len(a)))
             target = np.linalg.solve(root, g[mask].sum(axis=0))
-            how = {"method": "bvls", "max_iter": _EXCHANGES}
-            return lsq_linear(root.T, target, (lower, upper), **how).x
+            bounds = lower, upper
+            return lsq_linear(root.T, target, bounds, method="bvls", max_iter=_EXCHANGES).x
 
         return solve
 
