@@ -125,6 +125,14 @@ def test_contacts_of_a_rod_that_remembers_are_in_order():
         wrod.solve_rod_grasps(of_law(Plastic(5.0, 0.1)), [0.1, 0.05], 1.0)
 
 
+@pytest.mark.parametrize("law", [Linear(), Plastic(5.0, 0.1)], ids=lambda law: law.name)
+def test_no_contacts_are_named(law):
+    none, rod = np.zeros(0), replace(of_law(law), natural_curvature=(1.0, 0.0))
+    for solve in (wrod.solve_rod_grasps, solve_relaxed):
+        with pytest.raises(GraspError, match="at least one"):
+            solve(rod, none, none, held_roll=0.0)
+
+
 @pytest.mark.parametrize("law", [Plastic(9.0, 0.4), Dahl(9.0, 0.5)], ids=lambda law: law.name)
 def test_a_plan_that_knows_what_stays_lays_it_better(law):
     s = np.linspace(0.0, 0.2, 200)

@@ -43,7 +43,7 @@ def solve_relaxed(
     share, every = np.ones(len(arc_length)), np.arange(len(arc_length))
     lgb, remembers = model.gravito_bending_length, model.law.at_rest is None
     looked = every
-    if remembers and not model.is_straight:
+    if remembers and not model.is_straight and len(every) > 1:
         looked = _spread_out(arc_length, _LOOKED * lgb)
     grasps = solve(share, looked)
     lacking = looked[~grasps.converged]

@@ -128,9 +128,9 @@ def solve_rod_grasps(
         device, edge_count, extrapolate, threads: see `wrod.solve_grasps`.
 
     Raises:
-        GraspError: a contact is not on the rod, a value is not finite or, in L_gb, outside what can
-            be solved, an unknown closure, no `held_roll` of a rod that has sides, or contacts that
-            do not increase of a rod that remembers.
+        GraspError: no contact or one that is not on the rod, a value that is not finite or, in
+            L_gb, outside what can be solved, an unknown closure, no `held_roll` of a rod that has
+            sides, or contacts that do not increase of a rod that remembers.
     """
     number = closure_number(closure)
     if edge_count < 16 or edge_count % 4:
@@ -185,6 +185,8 @@ def _contacts(model: RodModel, arc_length, curvature) -> np.ndarray:
             f"curvature has shape {np.shape(curvature)} for {len(contact)} contacts; give one for "
             "each, or one for all"
         )
+    if contact.size == 0:
+        raise GraspError("arc_length holds no contact; give at least one")
     if contact.ndim != 1 or not ((contact >= 0.0) & (contact < model.length)).all():
         raise GraspError(f"arc_length must be (n,) from 0 to below the rod's {model.length:g} m")
     return contact
