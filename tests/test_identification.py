@@ -421,6 +421,29 @@ def test_an_effect_that_is_something_at_zero_is_refused():
         identify(measurements_from_arrays(synthetic()), candidates=asked)
 
 
+class Lost(Magnet):
+    """One that is a number at zero only."""
+
+    def apply(self, setup, values):
+        super().apply(setup, values * np.where(np.real(values) == 0.0, 1.0, np.nan))
+
+
+class Unseen(Magnet):
+    """One that no camera sees anything of, beyond its rate."""
+
+    def apply(self, setup, values):
+        pass
+
+    def measure(self, position, frame, values, setup):
+        return position + np.where(np.imag(values[0]) == 0.0, 0.0, np.nan)
+
+
+@pytest.mark.parametrize(("effect", "what"), [(Lost(), "force"), (Unseen(), "measure")])
+def test_an_effect_that_is_no_number_is_refused(plain, effect, what):
+    with pytest.raises(DataError, match=f"'magnet' makes {what} no number"):
+        identify(measurements_from_arrays(plain), candidates=["natural_curvature", effect])
+
+
 def swap(data, *fields, trial=1):
     """Exchange what belongs to the two clamps in one trial."""
     for field in fields:

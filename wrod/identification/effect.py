@@ -242,6 +242,35 @@ def effects_asked(kind: str, candidates) -> list[Effect]:
     return [c if isinstance(c, Effect) else known[c] for c in chosen]
 
 
+def refuse_undefined(
+    chosen: list[Effect], base: Any, measurements: ClampedMeasurements | None = None
+) -> None:
+    """Raise where fits start, or a little off there, if an effect or its rates are no numbers.
+
+    Args:
+        base: set-up of the base model.
+        measurements: as of `Effect.starts`.
+    """
+    for effect in chosen:
+        low, high, scale = np.array([(p.lower, p.upper, p.scale) for p in effect.parameters]).T
+        for start in effect.starts(measurements):
+            for values in (start, np.clip(start + 1e-3 * scale, low, high)):
+                asked = values + 1e-30j
+                setup = Model((effect,)).setup(base, asked)
+                told = {k: v for k, v in vars(setup).items() if v is not getattr(base, k, None)}
+                if measurements is not None and type(effect).measure is not Effect.measure:
+                    at = np.nan_to_num(measurements.centerline[setup.trials])
+                    frame = np.broadcast_to(np.eye(3), (*at.shape, 3))
+                    told["measure"] = effect.measure(at, frame, asked, setup)
+                lost = [k for k, v in told.items() if not np.isfinite(v).all()]
+                if lost:
+                    raise DataError(
+                        f"effect {effect.name!r} makes {lost[0]} no number, or its rate, at "
+                        f"{np.array2string(values, precision=3)}, where fits start; use analytic "
+                        "functions that are finite there"
+                    )
+
+
 @dataclass(frozen=True)
 class Model:
     """The base model with effects on top."""

@@ -22,7 +22,14 @@ from wrod.identification.clamped.selection import select
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.clamped.trace import Print, trace
 from wrod.identification.clamped.verdict import Selection
-from wrod.identification.effect import Effect, Estimate, Model, as_asked, checked_as_identification
+from wrod.identification.effect import (
+    Effect,
+    Estimate,
+    Model,
+    as_asked,
+    checked_as_identification,
+    refuse_undefined,
+)
 from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.report import FoundEffect, Report, millimetres
 from wrod.rods.device import resolve_device
@@ -145,7 +152,7 @@ def identify_clamped(
 
     Raises:
         DataError: the data cannot be right, an effect is unknown, or one of those given is not the
-            base model where its parameters are zero.
+            base model where its parameters are zero, or no number where fits start.
     """
     say = progress or (lambda text: None)
     clock, asked = Clock(seconds), (measurements, test, candidates)
@@ -153,6 +160,7 @@ def identify_clamped(
     say("base model")
     laboratory = Laboratory(m, device=resolve_device(device))
     _refuse_sized_at_zero(laboratory, chosen)
+    refuse_undefined(chosen, laboratory.base, m)
     say("force print")
     prints = trace(laboratory)
     say("effects")

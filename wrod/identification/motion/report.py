@@ -10,7 +10,14 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import DataError
-from wrod.identification.effect import Effect, Estimate, Model, as_asked, checked_as_identification
+from wrod.identification.effect import (
+    Effect,
+    Estimate,
+    Model,
+    as_asked,
+    checked_as_identification,
+    refuse_undefined,
+)
 from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.fit import MotionLaboratory
@@ -186,7 +193,8 @@ def identify_motion(
         progress: called with (text,) as the work goes on.
 
     Raises:
-        DataError: the data cannot be right, an effect is unknown, or `steps` is of other data.
+        DataError: the data cannot be right, an effect is unknown or no number where its fits
+            start, or `steps` is of other data.
     """
     asked = measurements, test, candidates
     m, chosen = as_asked("motion", MotionMeasurements, load_motion, *asked)
@@ -196,6 +204,7 @@ def identify_motion(
     laboratory = MotionLaboratory(
         m, subdivisions=subdivisions, device=device, remembered=remembered
     )
+    refuse_undefined(chosen, laboratory.base)
     selection = select_motion(laboratory, chosen, progress=progress)
     prints = None
     if evidence:
