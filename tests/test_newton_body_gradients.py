@@ -8,7 +8,16 @@ import pytest
 import warp as wp
 from chosen import DEVICE
 from scipy.spatial.transform import Rotation
-from test_newton_gradients import STATE, Differenced, f64, of_node, put, rounding_of, vec3d
+from test_newton_gradients import (
+    STATE,
+    Differenced,
+    balanced,
+    f64,
+    of_node,
+    put,
+    rounding_of,
+    vec3d,
+)
 
 import wrod
 from wrod.newton_solver.gradients import PROPERTIES
@@ -189,7 +198,7 @@ def agrees(scene, exact, little=(), without=(), together=True):
     properties one by one or `together`."""
     found = {k: g for k, g in scene.gradients().items() if k not in without}
     rounding = rounding_of(scene)
-    total, all_ways = 0.0, {}
+    all_ways = {}
     assert set(found) >= {*STATE, *BODY, "gravity", "node_bending_stiffness"}
     for name, gradient in found.items():
         rng, size = np.random.default_rng(list(name.encode())), exact.get(name, 5e-5)
@@ -203,14 +212,15 @@ def agrees(scene, exact, little=(), without=(), together=True):
             way *= getattr(scene.model.der, name).numpy()
         if name in [*LITTLE, *little]:
             way *= 30.0
-        parts = gradient * way
         if together and name in PROPERTIES:
-            total, all_ways[name] = total + parts.sum() * size, way * size
+            all_ways[name] = way * size
             continue
+        parts = gradient * way
         # Of poses on the way, what each end of a step wants is added up in single precision.
         single = {"tray": 2e-7}.get(name, 1e-7) * np.abs(parts).sum() if name in EXACT else 0.0
         scene.agrees(parts.sum(), {name: way}, size, rounding / size + single)
     if together:
+        total, all_ways = balanced(all_ways, found)
         scene.agrees(total, all_ways, 1.0, rounding)
 
 
