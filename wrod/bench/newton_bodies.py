@@ -350,8 +350,8 @@ def measure() -> Iterator[tuple[str, str, str]]:
         )
         yield what, said, "swings, trembles"
     yield from newton_laid.measure()
-    yield from newton_plectoneme.measure()
     pile = Pile()
     cost = pile.run(90)
     yield "pile of 6 cables of 20 edges: deepest over radius", f"{pile.deepest:.4f}", "0"
     yield "the same: CPU seconds per simulated second", f"{cost:.2f}", ""
+    yield from newton_plectoneme.measure()  # last: they take most of the time
