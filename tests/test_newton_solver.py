@@ -687,15 +687,15 @@ POST, THIN, STRAIGHT = 0.05, 0.002, 0.12  # radii of a post and of a rope over i
 HUNG, LINE_MASS = 0.2, 0.004  # what hangs at the rope [kg], and the rope [kg/m]
 
 
-def rope_over_post(friction, edge=0.004, **options):
+def rope_over_post(friction, edge=0.004, radius=POST, **options):
     """(solver, model, state) of a rope that hangs half a turn around a post made of three edges,
     first with a mass at its end, last held by a hand."""
     builder = scene()
     stiff = dict(bending_stiffness=1e3, twisting_stiffness=1e3, stretching_stiffness=1e6)
-    post = RodModel(length=0.1, line_mass=1.0, radius=POST, **stiff)
+    post = RodModel(length=0.1, line_mass=1.0, radius=radius, **stiff)
     axis = straight(4, 0.1, axis=1, shift=(0.0, -0.05, 0.0))
     SolverDER.add_rod(builder, axis, post, start="clamped", end="clamped")
-    reach = POST + THIN
+    reach = radius + THIN
     turn = np.pi * reach
     s = np.linspace(0.0, 2 * STRAIGHT + turn, round((2 * STRAIGHT + turn) / edge) + 1)
     angle = np.pi - np.clip((s - STRAIGHT) / reach, 0.0, np.pi)
@@ -714,14 +714,21 @@ def rope_over_post(friction, edge=0.004, **options):
     return SolverDER(model, rod_contact=friction, **options), model, hand, points[-1]
 
 
-@pytest.mark.parametrize("rate", [60, 120, 240])
-@pytest.mark.parametrize("friction", [0.25, 0.5, 0.8])
-def test_rope_over_a_post_made_of_rods(friction, rate):
+@pytest.mark.parametrize(
+    ("radii", "friction", "rate"),
+    [
+        (25, 0.25, 60), (25, 0.25, 240), (25, 0.5, 60), (25, 0.5, 120), (25, 0.8, 120),
+        (25, 0.8, 240), (4, 0.4, 60), (6, 0.25, 60), (12, 0.4, 240),
+    ],
+)  # fmt: skip
+def test_rope_over_a_post_made_of_rods(radii, friction, rate):
     """It rubs with its inner side, which goes by R / (R + r) slower than its middle: T' = mu n R /
     (R + r). Along the rope this pulls around its middle, by mu n r, which a shear force of that
     size balances, as nothing else does in a soft rope: n + mu r n' = T / (R + r). So tensions grow
-    by exp(a phi), a + mu a^2 r / (R + r) = mu R / (R + r); the pull does not tremble."""
-    solver, model, hand, place_of_hand = rope_over_post(friction)
+    by exp(a phi), a + mu a^2 r / (R + r) = mu R / (R + r); the pull does not tremble, over thin
+    posts by no more than what the edges' corners do."""
+    post = radii * THIN
+    solver, model, hand, place_of_hand = rope_over_post(friction, radius=post)
     state, dt, pulls = model.state(), 1 / rate, []
     z = place_of_hand[2]
     for k in range(round(1.5 / dt)):
@@ -730,13 +737,15 @@ def test_rope_over_a_post_made_of_rods(friction, rate):
         solver.step(state, state, None, None, dt)
         if k >= 1.2 / dt:
             pulls.append(np.linalg.norm(solver.body_wrenches()[hand, :3]))
-    assert np.std(pulls) < 0.02 * np.mean(pulls)
+    assert np.std(pulls) < (0.02 if radii > 18 else 0.08) * np.mean(pulls)
     q = state.der.node_q.numpy()
     light = LINE_MASS * 9.81
     tension = HUNG * 9.81 - light * q[4, 2], np.mean(pulls) + light * z
-    inner, lean = friction * POST / (POST + THIN), friction * THIN / (POST + THIN)
+    inner, lean = friction * post / (post + THIN), friction * THIN / (post + THIN)
     grows = (np.sqrt(1.0 + 4.0 * lean * inner) - 1.0) / (2.0 * lean)
-    assert tension[1] / tension[0] == pytest.approx(np.exp(grows * np.pi), rel=0.015)
+    assert tension[1] / tension[0] == pytest.approx(
+        np.exp(grows * np.pi), rel=0.015 if radii > 18 else 0.025
+    )
 
 
 def test_as_many_edges_as_a_turn_has_touch_a_post():

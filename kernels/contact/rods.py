@@ -11,8 +11,8 @@ normal. N is held while Newton iterates, as in Li et al. 2020, so that the matri
 symmetric and exact but for the turning of the pair; in balance it is compared with what the pairs
 press then, and taken anew where a bristle slides, or would, and they differ. A step ends with
 friction within a twentieth of mu times the load at its end; on a post (`load_on_post`) loads are
-followed over steps, on a thick one within each, to a hundredth, where other loads of the row may be
-left farther off.
+followed over steps, on a thick or smooth one within each (`part_on_post`), where other loads of
+the row may be left farther off.
 """
 
 import warp as wp
@@ -39,14 +39,19 @@ SETTLED = wp.constant(wp.float64(1.0e-10))
 NOTHING = wp.constant(wp.float64(0.01))
 MOST_TO_SETTLE = wp.constant(40)
 # A rod so many times as thick as another is a post to it, over which its loads are spread, and a
-# thick one: turning little from edge to edge, loads settle there within a step. On others steps
-# that tried it did not converge.
+# thick one: turning little from edge to edge, loads settle there within a step. So they do under
+# little friction, on what is so many times as thick for each unit of it. On others steps that tried
+# it did not converge.
 POST = wp.constant(wp.float64(2.0))
 THICK_POST = wp.constant(wp.float64(18.0))
+LITTLE_FRICTION = wp.constant(wp.float64(0.5))
+SMOOTH_POST = wp.constant(wp.float64(9.0))
 STALE_ON_THICK = wp.constant(wp.float64(0.01))
-# Part of the way that loads go on a post at once, but on a thick one, and the part of them that is
-# left at least.
+STALE_ON_SMOOTH = wp.constant(wp.float64(0.02))
+# Part of the way that loads go on a post at once, from step to step, and within a step on one that
+# is not thick, and the part of them that is left at least.
 GENTLY = wp.constant(wp.float64(0.25))
+MOSTLY = wp.constant(wp.float64(0.7))
 LEAST_LEFT = wp.constant(wp.float64(0.1))
 # Residual over the tolerance from which on loads are taken anew: to come nearer to balance under
 # the old ones is in vain. Ten times less costs knots that are pulled a sixth more iterations, ten
@@ -54,8 +59,6 @@ LEAST_LEFT = wp.constant(wp.float64(0.1))
 NEARLY = wp.constant(wp.float64(1000.0))
 # A depth that is none.
 TINY = wp.constant(wp.float64(1.0e-300))
-
-
 # Part of the way that nodes may go in a step by which a pair that meets in it would have come
 # nearer at most: in a longer one implicit Euler stops what should bounce.
 FIRST_WAY = wp.constant(wp.float64(0.5))
@@ -117,6 +120,18 @@ def is_on_post(m: Pieces, thicker: wp.float64, r: int, i: int, j: int) -> bool:
     post."""
     thick = wp.max(m.radius[r, i], m.radius[r, j])
     return thick > thicker * wp.min(m.radius[r, i], m.radius[r, j])
+
+
+@wp.func
+def part_on_post(m: Pieces, r: int, i: int, j: int) -> wp.float64:
+    """Part of the way that loads go at once on a post: more than `GENTLY` where they settle within
+    a step."""
+    if is_on_post(m, THICK_POST, r, i, j):
+        return ONE
+    mu = m.law[r].static_friction
+    if mu <= LITTLE_FRICTION and is_on_post(m, wp.max(POST, SMOOTH_POST * mu), r, i, j):
+        return MOSTLY
+    return GENTLY
 
 
 @wp.func
@@ -296,11 +311,12 @@ def renew_loads(
                 if meets_fast(m, near, step[r], reach[r], velocity, r, i, j):
                     wp.atomic_max(renewed_out, r, 2)
             continue
-        thick = settles == 0 and is_on_post(m, THICK_POST, r, i, j)
-        if renewals[r] >= wp.where(settles != 0 or thick, MOST_TO_SETTLE, MOST_RENEWALS):
+        part = wp.where(settles != 0, GENTLY, part_on_post(m, r, i, j))
+        if renewals[r] >= wp.where(settles != 0 or part > GENTLY, MOST_TO_SETTLE, MOST_RENEWALS):
             continue
         c = pair_contact(m, rubbing, step[r], dof, dof_before, False, r, i, j, k)
-        stale = wp.where(thick, STALE_ON_THICK, STALE) * wp.max(c.force, old)
+        stale = wp.where(part > GENTLY, STALE_ON_SMOOTH, STALE)
+        stale = wp.where(part == ONE, STALE_ON_THICK, stale) * wp.max(c.force, old)
         if settles != 0:
             stale = SETTLED * wp.max(c.force, old) + NOTHING * tolerance[r]
         if wp.abs(c.force - old) > stale:
@@ -308,9 +324,11 @@ def renew_loads(
             mu = wp.where(slides, m.law[r].kinetic_friction, m.law[r].static_friction)
             wanted = m.law[r].tangential * wp.length(c.stretched)
             if mu > ZERO and wanted > mu * wp.min(c.force, old):
-                next = wp.float64(c.force)
+                # Short of balance what slides may have left the surface, and no load that is 0
+                # comes back within the step.
+                least = wp.where(converged[r] == 0 and part > GENTLY, LEAST_LEFT * old, ZERO)
+                next = wp.max(c.force, least)
                 if settles == 0 and c.force > ZERO and is_on_post(m, POST, r, i, j):
-                    part = wp.where(thick, ONE, GENTLY)
                     next = load_on_post(partner_count, partner, excess, part, c.force, old, r, i, k)
                     if wp.abs(next - old) <= stale:
                         continue
@@ -365,7 +383,7 @@ def settle_friction(
         old = rubbing.load[r, i, k]
         next = wp.float64(c.force)
         if c.force > ZERO and c.slid > ZERO and old > ZERO and is_on_post(m, POST, r, i, j):
-            part = wp.where(is_on_post(m, THICK_POST, r, i, j), ONE, GENTLY)
+            part = part_on_post(m, r, i, j)
             next = load_on_post(partner_count, partner, excess, part, c.force, old, r, i, k)
         load[r, i, k] = next
         rubbing.sliding[r, i, k] = 0
