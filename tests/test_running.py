@@ -16,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 from forked import full_disk
 
+from wrod import side_by_side
 from wrod.commands import LazyGroup, main
 from wrod.commands.running import (
     FAULT,
@@ -27,6 +28,7 @@ from wrod.commands.running import (
 from wrod.errors import DataError, RodError
 from wrod.files import write_atomically
 from wrod.files.writing import locked
+from wrod.machine import usable_cores
 
 
 def ends(error, *words, write=None):
@@ -536,3 +538,9 @@ def test_what_opencv_tells_of_itself_stays_out_of_json(tmp_path):
         [*call, "--out", "out"], env=loud, cwd=tmp_path, capture_output=True, text=True
     )
     assert json.loads(run.stdout)[0]["curves"] == 1
+
+
+def test_processes_side_by_side_share_the_cores():
+    """Each would start as many threads as there are cores."""
+    found = {cores for _, cores in side_by_side.run(usable_cores, [(), ()], 2)}
+    assert found == {max(1, usable_cores() // 2)}

@@ -33,9 +33,21 @@ def machine_line(device: str = "cpu") -> str:
     return "; ".join(parts)
 
 
+# Processes that this one shares its cores with, itself included.
+_beside = 1
+
+
+def share_cores(processes: int) -> None:
+    """Let this process take no more than its part of the cores, of so many processes."""
+    global _beside
+    _beside = processes
+
+
 def usable_cores() -> int:
-    """Cores that this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores that this process may run on, or its part of them."""
+    asked = hasattr(os, "sched_getaffinity")
+    cores = len(os.sched_getaffinity(0)) if asked else os.cpu_count() or 1
+    return max(1, cores // _beside)
 
 
 def available_memory(device: str = "cpu") -> float:

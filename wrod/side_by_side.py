@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from wrod.errors import DataError
-from wrod.machine import usable_cores
+from wrod.machine import share_cores, usable_cores
 
 
 def run(
@@ -23,8 +23,8 @@ def run(
     Args:
         function: of a module, so that other processes can import it.
         jobs: its arguments.
-        workers: processes, at most two a core; with 1 everything runs in this one. They end with
-            this process, and with the caller's loop, however it ends.
+        workers: processes, at most two a core, which share the cores; with 1 everything runs in
+            this one. They end with this process, and with the caller's loop, however it ends.
 
     Raises:
         DataError: a worker was killed, or none can be begun.
@@ -41,7 +41,7 @@ def run(
     count = min(workers, max(len(jobs), 1), 2 * usable_cores())  # more would only take memory
     try:
         begun = ProcessPoolExecutor(
-            count, mp_context=context, initializer=_watch, initargs=(watched,)
+            count, mp_context=context, initializer=_begin, initargs=(watched, count)
         )
     except OSError as reason:  # no room for what they share
         raise DataError(
@@ -65,8 +65,10 @@ def run(
     kept.close()
 
 
-def _watch(pipe: Connection) -> None:
-    """End this process when the other end of the pipe is closed, as the death of its owner does."""
+def _begin(pipe: Connection, processes: int) -> None:
+    """End this process when the other end of the pipe is closed, as the death of its owner does;
+    until then it takes its part of the cores."""
+    share_cores(processes)
 
     def wait() -> None:
         with contextlib.suppress(EOFError, OSError):
