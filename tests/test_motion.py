@@ -1,6 +1,7 @@
 """Motion: recordings in, sensitivities, and what is found in motions made by the dynamics."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -163,6 +164,28 @@ def test_tangents_know_what_a_rod_that_yields_remembers(recorded):
     back = (size < 0.9 * node["scale"]) & (np.linalg.norm(node["excess"], axis=-1) > 1.1 * size)
     assert back.mean() > 0.1, back.mean()
     check_tangents(laboratory, model, values, None)
+
+
+def test_steps_begin_where_the_grips_lead_the_rod(recorded):
+    """Newton's method begins nearer where grips change their pace, and ends at the same motion."""
+    laboratory = MotionLaboratory(motion_from_arrays(recorded))
+    windows = laboratory.windows([0, 1, 2])
+    pushes = np.random.default_rng(0).normal(0.0, 5.0, (*windows.held.shape[:2], 2, 3))
+    moved = np.cumsum(np.cumsum(pushes, axis=1), axis=1) / RATE**2
+    held = windows.held + np.repeat(moved, 2, axis=2)
+    found = {}
+    for kind in (MotionRun, Unled):
+        run = kind(replace(windows, held=held), RATE, laboratory.base)
+        run.begin()
+        found[kind] = run.finish()[0], run.dynamics.iteration_count.numpy().sum()
+    (led, few), (unled, many) = found[MotionRun], found[Unled]
+    assert few < 0.9 * many, (few, many)
+    assert np.abs(led - unled).max() < 1e-6
+
+
+class Unled(MotionRun):
+    def prescribe(self, *at):
+        self._hold(*at)
 
 
 def check_tangents(laboratory, model, values, frames):

@@ -32,16 +32,22 @@ def predict(
     # State in and out:
     step: OneStep,
 ):
-    """Newton starts where the free degrees of freedom would be with `growth` times the last change
-    of velocity, of which there is none in a first step."""
+    """Newton starts where the free degrees of freedom are expected."""
     r, a = wp.tid()
     if pace.starting[r] == 0:
         return
     if free[r, a] != 0:
-        v = wp.float64(step.velocity[r, a])
-        if pace.coefficient[r][2] != ZERO:
-            v += growth * (step.velocity[r, a] - step.velocity_older[r, a])
-        step.dof[r, a] = step.dof[r, a] + pace.span[r] * v
+        step.dof[r, a] = step.dof[r, a] + advance_of(growth, step, r, a)
+
+
+@wp.func
+def advance_of(growth: wp.float64, step: OneStep, r: int, a: int) -> wp.float64:
+    """How far a degree of freedom would go in a step with `growth` times the last change of
+    velocity, of which there is none in a first step."""
+    v = wp.float64(step.velocity[r, a])
+    if step.coefficient[r][2] != ZERO:
+        v += growth * (step.velocity[r, a] - step.velocity_older[r, a])
+    return step.span[r] * v
 
 
 @wp.func

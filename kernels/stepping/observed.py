@@ -3,7 +3,9 @@
 import warp as wp
 from wrod.kernels.elastic.curvature import stencil
 from wrod.kernels.elastic.frames import HALF, angle_towards, node, parallel_transport
+from wrod.kernels.stepping.dynamics import advance_of
 from wrod.kernels.stepping.pace import Pace
+from wrod.kernels.stepping.trace import OneStep
 
 
 @wp.kernel
@@ -41,6 +43,36 @@ def hold_ends(
     dof[r, 4 * i + 3] = angle_towards(
         aim, t, dof[r, 4 * i + 3], tangent_before[r, i], director_before[r, i]
     )
+
+
+@wp.kernel
+def lead_nodes(
+    growth: wp.float64,
+    # State in:
+    starting: wp.array(dtype=wp.int32),
+    # State in and out:
+    step: OneStep,
+):
+    """Shift the free nodes by as much as the grips are from where they were expected, interpolated
+    along the rod. Launched over (rod, free node), when the ends are where they are held.
+
+    Grips change their pace from frame to frame: where the rod does not come along, the edges at the
+    grips are stretched, which costs Newton's method an iteration in every step."""
+    r, k = wp.tid()
+    if starting[r] == 0:
+        return
+    last = step.dof.shape[1] / 4 - 1
+    i = k + 2
+    share = wp.float64(k + 1) / wp.float64(last - 1)
+    for c in range(3):
+        here = beyond_expected(growth, step, r, 4 + c)
+        there = beyond_expected(growth, step, r, 4 * last + c)
+        step.dof[r, 4 * i + c] += here + share * (there - here)
+
+
+@wp.func
+def beyond_expected(growth: wp.float64, step: OneStep, r: int, a: int) -> wp.float64:
+    return step.dof[r, a] - step.dof_before[r, a] - advance_of(growth, step, r, a)
 
 
 @wp.func

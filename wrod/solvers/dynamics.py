@@ -137,7 +137,7 @@ class Dynamics(NewtonSteps):
         self.air_damping = floats("air_damping", air_damping)
         self.drag = None
         # The last change of velocity tells Newton's start, but for what hits something.
-        self._growth = 0.0 if self.contacts else 0.5
+        self.growth = 0.0 if self.contacts else 0.5
         self.viscosity = Viscosity(batch, internal_damping)
         self.internal = InternalVariables(batch)
         scale = usual_force(batch) if force_scale is None else force_scale

@@ -83,7 +83,7 @@ class NewtonSteps(Steps):
     shrinks: float
     refuses_saddles: bool
     _scheme: int
-    _growth: float
+    growth: float
     _going: wp.array
 
     @arguments.checked(RodError, time=arguments.array((), (None,)))
@@ -174,7 +174,7 @@ class NewtonSteps(Steps):
             self.bodies.begin(self)
         batch.launch_dofs(
             kernels.predict,
-            [self.pace, batch.free, wp.float64(self._growth)],
+            [self.pace, batch.free, wp.float64(self.growth)],
             [self.present],
         )
 

@@ -113,7 +113,17 @@ class MotionRun:
         self._sent = wp.zeros(1, dtype=wp.int32, device=device)
 
     def prescribe(self, running, time, step, start: RodState) -> None:
-        """Put the held edges where their grips are."""
+        """Put the held edges where their grips are, and let Newton's method start near by."""
+        self._hold(running, time, step, start)
+        batch, dynamics = self.batch, self.dynamics
+        batch.launch(
+            kernels.lead_nodes,
+            (batch.rod_count, batch.node_count - 4),
+            [wp.float64(dynamics.growth), running],
+            [dynamics.present],
+        )
+
+    def _hold(self, running, time, step, start: RodState) -> None:
         batch = self.batch
         batch.launch(
             kernels.hold_ends,
@@ -217,7 +227,7 @@ class MotionRun:
         start = RodState.zeros(batch.rod_count, batch.node_count, self.device)
         start.assign(batch.state)
         none = wp.zeros(batch.rod_count, dtype=wp.float64, device=self.device)
-        self.prescribe(batch.every_rod, none, none, start)
+        self._hold(batch.every_rod, none, none, start)
         even = batch.state.dof.numpy().copy()
         even[:, 3::4] = np.linspace(even[:, 3], even[:, -4], batch.node_count - 1, axis=1)
         batch.state.dof.assign(even)
