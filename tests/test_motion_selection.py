@@ -352,7 +352,21 @@ def test_an_identification_that_was_stopped_goes_on(measured, tmp_path, monkeypa
 
     monkeypatch.setattr(MotionLaboratory, "_linearised", _linearised)
     remembered = KnownSteps(steps, measured)
-    resumed, after = select(remembered=remembered), len(worked)
+    ran = []
+
+    def run(self, *asked):
+        ran.append(asked)
+        return moved(self, *asked)
+
+    moved = MotionLaboratory.run
+    monkeypatch.setattr(MotionLaboratory, "run", run)
+
+    def nothing_ran(text):
+        if text == "whole recordings":
+            assert not ran
+
+    resumed, after = select(nothing_ran, remembered=remembered), len(worked)
+    assert ran
     whole = select()
     assert 0 < after < (len(worked) - after) / 2
     assert np.array_equal(resumed.values, whole.values)
@@ -368,7 +382,7 @@ def test_of_what_is_as_good_the_one_with_fewest_parameters_goes_ahead():
 
     def one(name, parameters, validation):
         values = np.zeros(parameters)
-        return selection._Fitted(name, values, None, None, None, validation)
+        return selection._Fitted(name, values, None, None, validation)
 
     profile, law = one("profile", 3, 5.998), one("law", 2, 6.005)
     worse, worst = one("one", 1, 6.2), one("drag", 1, 9.9)

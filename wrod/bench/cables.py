@@ -29,7 +29,7 @@ def fold_row(
     """
     from wrod.identification.effect import Model, effects
     from wrod.identification.motion.data import folds, with_test
-    from wrod.identification.motion.fit import MotionLaboratory, errors_of
+    from wrod.identification.motion.fit import MotionLaboratory
     from wrod.identification.motion.loading import load_motion
     from wrod.identification.motion.remembered import KnownSteps
     from wrod.identification.motion.selection import BASE, select_motion
@@ -44,7 +44,8 @@ def fold_row(
     windows = rod.windows(m.test)
 
     def each(model, values) -> dict[str, float]:
-        error = errors_of(*rod.resolved(windows, model, values)[:2])
+        seen, predicted, _ = rod.resolved(windows, model, values)
+        error = seen.errors(predicted)
         mean = [1e3 * e[2:][seen[2:]].mean() for e, seen in zip(error, windows.seen, strict=True)]
         return dict(zip((m.names[r] for r in m.test), map(float, mean), strict=True))
 

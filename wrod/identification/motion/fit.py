@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.solver import MotionRun
 from wrod.identification.motion.tangents import COMPLEX_STEP
 from wrod.identification.motion.tension import base_setup
-from wrod.identification.motion.windows import Windows, windows_of
+from wrod.identification.motion.windows import Lacking, Windows, windows_of
 from wrod.machine import usable_cores
 
 # Errors of a motion grow far beyond the markers' noise, so large ones count linearly.
@@ -147,7 +146,7 @@ class MotionLaboratory:
 
     def error(self, windows: Windows, predicted: np.ndarray) -> float:
         """Mean |difference| over coordinates and all markers from the third frame on [m]."""
-        return float(errors_of(windows, predicted)[:, 2:][windows.seen[:, 2:]].mean())
+        return float(windows.errors(predicted)[:, 2:][windows.seen[:, 2:]].mean())
 
     def finer(self) -> MotionLaboratory:
         """The same with half the time step."""
@@ -179,21 +178,43 @@ class MotionLaboratory:
         finer, _, lost = other.run(windows, model.setup(other.base, values))
         lacking = 4.0 / 3.0 * (finer - predicted)
         lacking[failed | lost] = 0.0
-        return replace(windows, lacking=lacking), predicted, failed
+        return replace(windows, lacking=Lacking(lambda: lacking)), predicted, failed
 
-    def floor(
-        self, windows: Windows, model: Model, values: np.ndarray, predicted: np.ndarray
-    ) -> float:
+    def judged(self, windows: Windows, model: Model, values: np.ndarray) -> tuple[Windows, float]:
+        """`resolved` windows, and the error of what is predicted for them, with what lacks [m]."""
+        resolved = cache(lambda: self.resolved(windows, model, values))
+
+        def work(*_) -> dict:
+            own, predicted, _ = resolved()
+            return {"error": self.error(own, predicted), "digest": own.lacking.digest}
+
+        found = self._recalled("judged", work, windows, model, values)
+        lacking = Lacking(lambda: resolved()[0].lacking.array, found["digest"])
+        return replace(windows, lacking=lacking), found["error"]
+
+    def score(self, windows: Windows, model: Model, values: np.ndarray) -> float:
+        """Error of what is predicted for windows, with what these lack [m]."""
+
+        def work(*asked) -> dict:
+            return {"error": self.error(windows, self.predict(*asked))}
+
+        return self._recalled("score", work, windows, model, values)["error"]
+
+    def floor(self, windows: Windows, model: Model, values: np.ndarray) -> float:
         """Error that may be left of a prediction although the model is right [m]: noise of the
         markers that are compared, and what the noise of grips, first frames and lengths makes of
         it: as much again shows it, of few recordings more than once, with twice the standard error
         of as many recordings as are compared.
 
         Args:
-            windows: from the start of recordings to their end.
+            windows: from the start of recordings to their end; of them nothing lacks.
         """
+        return self._recalled("floor", self._floor, windows, model, values)["floor"]
+
+    def _floor(self, windows: Windows, model: Model, values: np.ndarray) -> dict:
         m, noise = self.measurements, np.random.default_rng(0)
-        still = replace(windows, markers=predicted, lacking=np.zeros_like(predicted))
+        predicted = self.predict(windows, model, values)
+        still = replace(windows, markers=predicted)
         count, each = len(predicted), []
         while len(each) < max(_SHAKES, count):
             noisy = noise.normal(m.positions, m.noise)
@@ -203,7 +224,7 @@ class MotionLaboratory:
             shaken[failed] = predicted[failed]
             each += [self.error(still.part(np.array([k])), shaken[[k]]) for k in range(count)]
         shaken_by = np.mean(each) + 2.0 * np.std(each) / np.sqrt(count)
-        return float(np.hypot(m.noise_floor, shaken_by))
+        return {"floor": float(np.hypot(m.noise_floor, shaken_by))}
 
     def rates(self, model: Model, values: np.ndarray) -> list[MotionSetup]:
         """Setups whose imaginary parts are the parameters' rates."""
@@ -229,7 +250,7 @@ class MotionLaboratory:
         key = [what, self.substeps, self.subdivisions, self.misfit]
         key += [model.names, np.asarray(values).tolist(), windows.markers.shape]
         key += [windows.recording.tolist(), windows.start.tolist()]
-        key += [hashlib.sha256(windows.lacking.tobytes()).hexdigest()]
+        key += [windows.lacking.digest]
         found = self.remembered.recall(
             key, lambda: {**work(windows, model, values), "misfit": self.misfit}
         )
@@ -282,7 +303,7 @@ class MotionLaboratory:
         """Frames that count, their differences, robust weights, cost and the prior's curvature."""
         seen = windows.seen.copy()
         seen[:, :2] = False
-        difference = (x + windows.lacking - windows.markers)[seen]
+        difference = (x + windows.lacking.array - windows.markers)[seen]
         square = np.sum(difference**2, axis=-1, keepdims=True)
         root = np.sqrt(1.0 + square / _ROBUST**2)
         scale = np.array([p.scale for p in model.parameters])
@@ -376,8 +397,3 @@ def _newton(at: Linearised, damping: float, inside: np.ndarray) -> np.ndarray:
     h = at.hessian[np.ix_(inside, inside)]
     step[inside] = -np.linalg.solve(h + damping * np.diag(np.diag(h)), at.gradient[inside])
     return step
-
-
-def errors_of(windows: Windows, predicted: np.ndarray) -> np.ndarray:
-    """(W, F) mean |difference| over coordinates and all markers [m]."""
-    return np.abs(predicted + windows.lacking - windows.markers).mean(axis=(2, 3))

@@ -18,7 +18,6 @@ from wrod.files.pictures import (
     dress_map,
     new_figure,
 )
-from wrod.identification.motion.fit import errors_of
 from wrod.identification.motion.trace import MotionTrace
 
 # What an effect's error on the recordings that choose it is called in a report.
@@ -29,7 +28,7 @@ _ALONG = "arc length from the first grip [m]"
 def shapes(report, count: int = 6) -> bytes:
     """Measured markers and predictions in six frames of the test recording in the middle."""
     w = report.windows
-    error = errors_of(w, report.predicted_after).mean(axis=1)
+    error = w.errors(report.predicted_after).mean(axis=1)
     r = int(np.argsort(error)[len(error) // 2])
     last = int(w.seen[r].sum()) - 1
     frames = np.linspace(last // count, last, count).astype(int)
@@ -60,7 +59,7 @@ def errors(report) -> bytes:
     left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1.0]})
     series = (("before", report.predicted_before, BEFORE), ("after", report.predicted_after, AFTER))
     for k, (label, predicted, color) in enumerate(series):
-        error = np.where(w.seen, 1e3 * errors_of(w, predicted), np.nan)
+        error = np.where(w.seen, 1e3 * w.errors(predicted), np.nan)
         time = np.arange(error.shape[1]) / rate
         left.plot(time, np.nanmean(error, axis=0), color=color, lw=1.4, label=label)
         place = np.arange(len(error)) + 0.4 * k - 0.2

@@ -228,9 +228,11 @@ def _report(selection: MotionSelection, evidence: MotionTrace | None) -> MotionR
     base = Model(selection.model.effects[: len(BASE)])
     models = (base, selection.base_values), (selection.model, selection.values)
     found = [laboratory.resolved(windows, *model) for model in models]
-    (before, lost_before), (after, lost_after) = ((x + w.lacking, lost) for w, x, lost in found)
+    (before, lost_before), (after, lost_after) = (
+        (x + w.lacking.array, lost) for w, x, lost in found
+    )
     few, last = np.arange(min(2, len(after))), found[1]
-    floor = laboratory.floor(last[0].part(few), *models[1], last[1][few])
+    floor = laboratory.floor(windows.part(few), *models[1])
     numerical = laboratory.error(replace(windows, markers=last[1]), after)
     verdict, reason = verdict_of(selection, floor)
     if lost_after.any():

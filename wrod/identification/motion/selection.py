@@ -122,13 +122,12 @@ def select_motion(
 @dataclass(frozen=True)
 class _Fitted:
     """A model fitted to the medium windows, these and the validation recordings with what meshes
-    lack, what it predicts for the latter, and its error there [m]."""
+    lack, and its error on the latter [m]."""
 
     model: Model
     values: np.ndarray
     medium: Windows
     checked: Windows
-    predicted: np.ndarray
     validation: float
 
 
@@ -152,14 +151,12 @@ class _Selection:
         return self.rod.windows(_some(recordings, count), sorted(set(starts.tolist())), length)
 
     def _error(self, windows, model, values) -> float:
-        windows, predicted, _ = self.rod.resolved(windows, model, values)
-        return self.rod.error(windows, predicted)
+        return self.rod.judged(windows, model, values)[1]
 
     def _validated(self, model: Model, values: np.ndarray, beside: _Fitted) -> _Fitted:
         """A model whose predictions lack what those of another one do."""
-        predicted = self.rod.predict(beside.checked, model, values)
-        error = self.rod.error(beside.checked, predicted)
-        return replace(beside, model=model, values=values, predicted=predicted, validation=error)
+        error = self.rod.score(beside.checked, model, values)
+        return replace(beside, model=model, values=values, validation=error)
 
     def _fit(self, model, values, steps: int, settled: float, beside: _Fitted) -> _Fitted:
         values = self.rod.refine(beside.medium, model, values, steps, settled)
@@ -167,11 +164,10 @@ class _Selection:
 
     def _resolved(self, model: Model, values: np.ndarray, steps: int = 3) -> _Fitted:
         """Fitted on with what mesh and time step lack in its own predictions."""
-        medium = self.rod.resolved(self.medium, model, values)[0]
+        medium, _ = self.rod.judged(self.medium, model, values)
         values = self.rod.refine(medium, model, values, steps)
-        checked, predicted, _ = self.rod.resolved(self.validation, model, values)
-        error = self.rod.error(checked, predicted)
-        return _Fitted(model, values, medium, checked, predicted, error)
+        checked, error = self.rod.judged(self.validation, model, values)
+        return _Fitted(model, values, medium, checked, error)
 
     def run(self) -> MotionSelection:
         known = effects("motion")
@@ -223,7 +219,7 @@ class _Selection:
 
     def _on_the_whole(self, now: _Fitted, iterations: int) -> tuple[np.ndarray, Linearised]:
         """Fitted to whole recordings."""
-        windows = self.rod.resolved(self.whole, now.model, now.values)[0]
+        windows, _ = self.rod.judged(self.whole, now.model, now.values)
         return self.rod.fit(windows, now.model, now.values, iterations=iterations, converged=0.005)
 
     def _note(self, model, after: _Fitted, rows, reason, *, accepted=None, removed=None) -> None:
@@ -278,9 +274,8 @@ class _Selection:
             return now, None, short()
         # Others were fitted on from the present model: what further steps bring is not theirs.
         now = min(now, self._resolved(now.model, now.values), key=lambda t: t.validation)
-        few = _some(np.arange(len(now.predicted)), _SHAKEN)
-        windows, predicted = now.checked.part(few), now.predicted[few]
-        floor = self.rod.floor(windows, now.model, now.values, predicted)
+        few = _some(np.arange(len(self.validation.recording)), _SHAKEN)
+        floor = self.rod.floor(self.validation.part(few), now.model, now.values)
         if MOTION.is_noise(now.validation, floor):
             left = f"{1e3 * now.validation:.3f} mm are left, no more than noise leaves"
             return now, None, f"{left}, {1e3 * floor:.3f} mm"

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from wrod.identification.motion.curves import through_markers
-from wrod.identification.motion.windows import Windows, windows_of
+from wrod.identification.motion.windows import Lacking, Windows, windows_of
 
 # Standard deviation of the Gaussian that paths are smoothed with, in time and at least [s, frames].
 _SMOOTH, _LEAST = 0.015, 1.2
@@ -51,7 +51,9 @@ def smoothed(m, setup, sampled, weights) -> SimpleNamespace:
     parts = [
         windows_of(smooth, [r], frame[recording == r] - 1, 2) for r in dict.fromkeys(recording)
     ]
-    windows = Windows(**{k: np.concatenate([getattr(p, k) for p in parts]) for k in vars(parts[0])})
+    fields = [k for k in vars(parts[0]) if k != "lacking"]
+    joined = {k: np.concatenate([getattr(p, k) for p in parts]) for k in fields}
+    windows = Windows(**joined, lacking=Lacking(lambda: np.zeros_like(joined["markers"])))
     nodes = through_markers(x, pieces, m.marker_arc_length)
     return SimpleNamespace(
         windows=windows,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -13,6 +15,30 @@ from wrod.rods.rotation import transport, unit
 
 # Frames of the cubics that smooth the paths of grips, and what is left of their noise at most.
 _WIDTHS, _AS_NOISE = (61, 41, 25, 15, 9, 5), 1.05
+
+
+class Lacking:
+    """What to add to predictions of windows: what mesh and time step lack.
+
+    Args:
+        make: computes it, where somebody looks at it.
+        digest: its digest, if it is known beforehand.
+    """
+
+    def __init__(self, make: Callable[[], np.ndarray], digest: str | None = None):
+        self._make, self._digest = make, digest
+
+    @cached_property
+    def array(self) -> np.ndarray:
+        """(W, F, M, 3) [m]."""
+        return self._make()
+
+    @cached_property
+    def digest(self) -> str:
+        return self._digest or hashlib.sha256(self.array.tobytes()).hexdigest()
+
+    def __getitem__(self, index: np.ndarray) -> Lacking:
+        return Lacking(lambda: self.array[index])
 
 
 @dataclass(frozen=True)
@@ -34,7 +60,7 @@ class Windows:
             one plane starts without twist.
         arc_length: (W, M) of the markers, the same for all windows [m].
         length_change: (W, M - 1) what to add to the rod's length between markers [m].
-        lacking: (W, F, M, 3) what to add to predictions: what mesh and time step lack [m].
+        lacking: what to add to predictions.
     """
 
     recording: np.ndarray
@@ -47,7 +73,11 @@ class Windows:
     grip_director: np.ndarray
     length_change: np.ndarray
     arc_length: np.ndarray
-    lacking: np.ndarray
+    lacking: Lacking
+
+    def errors(self, predicted: np.ndarray) -> np.ndarray:
+        """(W, F) mean |difference| over coordinates and all markers [m]."""
+        return np.abs(predicted + self.lacking.array - self.markers).mean(axis=(2, 3))
 
     def part(self, index: np.ndarray) -> Windows:
         """Some of them."""
@@ -94,7 +124,7 @@ def windows_of(
         np.stack(director),
         m.length_change(recording, start),
         np.repeat(m.marker_arc_length[None], len(recording), axis=0),
-        np.zeros_like(markers),
+        Lacking(lambda: np.zeros_like(markers)),
     )
 
 
