@@ -86,7 +86,7 @@ class MotionLaboratory:
         subdivisions: edges between neighbouring free markers.
         substeps: time steps a frame.
         device: Warp device.
-        remembered: where linearised problems are kept, and looked for first.
+        remembered: where problems and errors are kept, and looked for first.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """What an identification of motion has computed, in a file, so that one that was stopped goes on.
 
-Nearly all of the time goes into linearised problems. Which of them come next depends on what came
-before alone, so one that begins anew finds its way through those that are remembered at once.
+What is computed next depends on what came before alone, so one that begins anew finds its way
+through what is remembered at once.
 """
 
 import hashlib
