@@ -243,6 +243,18 @@ def test_what_was_fitted_is_taken_as_far_as_unseen_pictures_gain():
     assert simplest(np.zeros((1, 3))) == 0
 
 
+def test_the_best_of_eight_ways_is_rarely_taken_by_luck():
+    """Ways that hang together, gaining in some of seven patterns what they lose in others."""
+    random = np.random.default_rng(0)
+    common, loads = random.normal(size=(2000, 7, 2)), random.normal(1.0, 1.0, (2000, 2, 8))
+    ways = common @ loads + 0.3 * random.normal(size=(2000, 7, 8))
+    error = ways.std(axis=1, ddof=1) / np.sqrt(7)
+    ahead = np.take_along_axis(-ways.mean(axis=1) / error, ways.mean(axis=1).argmin(1)[:, None], 1)
+    assert 0.25 < (ahead > 1.0).mean() < 0.5
+    costs = np.concatenate([np.zeros((2000, 7, 1)), 1e-4 * ways], axis=2)
+    assert np.mean([simplest(one) > 0 for one in costs]) < 0.125
+
+
 def test_drawn_scenarios_are_the_same_for_every_count():
     assert len(scenarios_of("rope")) == 11 and believed_scenario("rope") in scenarios_of("rope")
     some, more = scenarios_of("rope", 8), scenarios_of("rope", 16)

@@ -7,7 +7,7 @@ import numpy as np
 from wrod.bench.photographs_deployments import Deployments, believed_scenario, scenarios_of
 from wrod.errors import DataError
 from wrod.identification.laid.camera import OverheadCamera, begin, find_camera
-from wrod.identification.laid.choice import aligned, average, simplest, spread, weigh
+from wrod.identification.laid.choice import aligned, average, heard, simplest, spread, weigh
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.placement import MissesByPart, foot, parts_of, raw, rigid
 from wrod.identification.laid.scenario import LaidRod, Scenario
@@ -107,7 +107,7 @@ def judge(photographs: list[LaidPhotograph], laid: Deployments, drawn: int | Non
               list(scenarios[p.rod]).index(believed_scenario(p.rod)), cameras[p.pattern_name])
         for p, one, column in zip(photographs, rods, columns, strict=True)
     ]  # fmt: skip
-    # Costs (case, way) of predictions without a pattern's pictures and without the case's own.
+    # Costs (pattern, way) of predictions without a pattern's pictures and without each's own.
     costs = dict(
         zip([None, *patterns],
             laid.map(_costs, [(cases, name) for name in (None, *patterns)]), strict=True)
@@ -216,23 +216,24 @@ def _weigh(distances, way) -> np.ndarray:
 
 def _weights(own, case, way, without) -> np.ndarray:
     """(scenario,) weights for a picture of a rod, by its pictures of patterns not in `without`."""
-    heard = [c.distances for c in own if c.photograph.pattern_name not in without]
-    if way is None or not heard:
+    others = [c.distances for c in own if c.photograph.pattern_name not in without]
+    if way is None or not others:
         return np.eye(len(case.scenarios))[case.believed]
-    return _weigh(np.array(heard).T, way)
+    return _weigh(np.array(others).T, way)
 
 
 def _costs(cases, without) -> np.ndarray:
-    """(case, way) distances [m] of every picture not of that pattern, predicted without it and
-    its own pattern."""
-    out = []
+    """(pattern, way) mean distances [m] of the pictures of every pattern but that one, predicted
+    without it and their own pattern."""
+    out: dict[str, list] = {}
     for case in cases:
         name = case.photograph.pattern_name
         own = [c for c in cases if c.photograph.rod == case.photograph.rod]
         if name == without or len({c.photograph.pattern_name for c in own} - {name, without}) < 1:
             continue
-        out.append([_cost(own, case, way, {name, without}) for way in WAYS])
-    return np.array(out).reshape(-1, len(WAYS))
+        cost = [_cost(own, case, way, {name, without}) for way in WAYS]
+        out.setdefault(name, []).append(heard(cost))
+    return np.array([np.mean(one, axis=0) for one in out.values()]).reshape(-1, len(WAYS))
 
 
 def _cost(own, case, way, without) -> float:
@@ -242,7 +243,7 @@ def _cost(own, case, way, without) -> float:
 
 def _means(own, case, costs) -> dict[str, float]:
     """Distance [m] of the scenarios' means, each with the softness of the least cost."""
-    total = np.minimum(costs, 6e-3).sum(axis=0)
+    total = costs.sum(axis=0)
     out = {}
     for kind in (ONE, MIXTURE):
         of = [k for k, way in enumerate(WAYS) if way is not None and way[0] == kind]

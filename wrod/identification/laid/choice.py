@@ -18,6 +18,9 @@ from wrod.identification.laid.scenario import LaidRod, Scenario
 # A picture that a scenario misses by more than this says no more against it [m]: it may have been
 # laid with another excess, and the other pictures are to be heard too.
 _CAP = 6e-3
+# A gain counts from so many of its standard errors on: the best of many ways is ahead by one by
+# luck alone in more than a third of all cases, by two in a tenth (tests/test_photographs.py).
+_ERRORS = 2.0
 # Mean distance by which a scenario's weight falls by e [m].
 _SOFT = 1e-3
 _POINTS = 600
@@ -35,31 +38,34 @@ def weigh(distances: np.ndarray, soft: float = _SOFT, *, mixture: bool = False) 
     Raises:
         DataError: no picture.
     """
-    heard = np.minimum(np.asarray(distances, dtype=float), _CAP)
-    if heard.ndim != 2 or heard.shape[1] < 1:
+    off = heard(distances)
+    if off.ndim != 2 or off.shape[1] < 1:
         raise DataError("no photograph to weigh scenarios by; leaving one out takes two or more")
     if not mixture:
-        heard = heard.mean(axis=1, keepdims=True)
-    weights = np.exp(-(heard - heard.min(axis=0)) / soft)
+        off = off.mean(axis=1, keepdims=True)
+    weights = np.exp(-(off - off.min(axis=0)) / soft)
     return (weights / weights.sum(axis=0)).mean(axis=1)
+
+
+def heard(distances: np.ndarray) -> np.ndarray:
+    """Distances [m] of pictures, cut where they say no more: at 6 mm."""
+    return np.minimum(np.asarray(distances, dtype=float), _CAP)
 
 
 def simplest(costs: np.ndarray) -> int:
     """Which way of predicting to take, the simplest being the first column.
 
-    The first whose cost is within one standard error, over pictures, of the least cost: what gains
-    on average by the luck of a few pictures is not taken.
+    The first whose cost is within two standard errors of the difference from the least cost, over
+    patterns: the pictures of one pattern are laid along one path, and gain or lose together.
 
     Args:
-        costs: (picture, way) distances [m] of unseen pictures; cut at 6 mm.
+        costs: (pattern, way) mean distances [m] of unseen pictures.
     """
-    heard = np.minimum(np.asarray(costs, dtype=float), _CAP)
-    if len(heard) < 2:
+    if len(costs) < 2:
         return 0
-    best = int(heard.mean(axis=0).argmin())
-    more = heard - heard[:, best : best + 1]
-    error = more.std(axis=0, ddof=1) / np.sqrt(len(heard))
-    return int(np.argmax(more.mean(axis=0) <= error))
+    more = costs - costs[:, [costs.mean(axis=0).argmin()]]
+    error = more.std(axis=0, ddof=1) / np.sqrt(len(costs))
+    return int(np.argmax(more.mean(axis=0) <= _ERRORS * error))
 
 
 def average(rods: Sequence[LaidRod], scenarios: Sequence[Scenario], weights: np.ndarray) -> LaidRod:
