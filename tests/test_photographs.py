@@ -320,6 +320,10 @@ def test_scenarios_are_averaged_at_equal_distance_from_the_grip():
     assert mean.nodes[:, 1] == pytest.approx(np.full(len(mean.nodes), 0.005))
     with pytest.raises(DataError, match="no scenario"):
         average([lost], scenarios[:1], np.ones(1))
+    # Chords of 2 cm would cut a circle of 5 cm by a millimetre.
+    round_ = 0.05 * np.column_stack([np.cos(s / 0.05), np.sin(s / 0.05), 0.0 * s])
+    mean = average([LaidRod(s, round_, True)], scenarios[:1], np.ones(1))
+    assert np.linalg.norm(mean.nodes, axis=1) == pytest.approx(np.full(600, 0.05), abs=5e-5)
 
 
 def test_spread_is_what_a_rigid_motion_leaves():

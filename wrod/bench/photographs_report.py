@@ -146,16 +146,15 @@ def _prediction(photograph, rods, share, camera: OverheadCamera):
     """Arrays and figures of one case; scenarios are averaged at equal arc length."""
     length = min(one.arc_length[-1] for one in rods)
     s = np.linspace(0.0, length, _POINTS)
-    lines = np.stack([[np.interp(s, one.arc_length, c) for c in one.nodes.T] for one in rods])
-    mean = np.einsum("w,wcn->nc", share, lines)
+    lines = np.stack([one.at(s) for one in rods])
+    mean = np.einsum("w,wnc->nc", share, lines)
     # All scenarios that the pictures allow, however little they move the mean.
     alike = np.full(len(lines), 1.0 / len(lines))
-    wide = spread(lines[:, :2].transpose(0, 2, 1), alike, mean[:, :2])
+    wide = spread(lines[:, :, :2], alike, mean[:, :2])
     errors = [deployment_error(photograph.pattern, one.arc_length, one.nodes) for one in rods]
     on_pattern = photograph.pattern.sample(np.linspace(0.0, photograph.pattern.length, 50))[0]
     nearest = [
-        np.linalg.norm(on_pattern[:, None, :2] - line[None, :2].transpose(0, 2, 1), axis=2)
-        .min(axis=1).mean()
+        np.linalg.norm(on_pattern[:, None, :2] - line[None, :, :2], axis=2).min(axis=1).mean()
         for line in lines
     ]  # fmt: skip
     e = 100.0 * np.array([error[0] for error in errors])

@@ -96,13 +96,8 @@ def aligned(
     longest = min(rods[k].arc_length[-1] - scenarios[k].excess for k in kept)
     s = np.linspace(0.0, longest, _POINTS)
     # The excess is beyond the pattern's start: what lies there is told apart from the grip.
-    lines = [
-        np.column_stack(
-            [np.interp(s + scenarios[k].excess, rods[k].arc_length, c) for c in rods[k].nodes.T]
-        )
-        for k in kept
-    ]
-    return s, np.stack(lines), share[kept] / share[kept].sum()
+    lines = np.stack([rods[k].at(s + scenarios[k].excess) for k in kept])
+    return s, lines, share[kept] / share[kept].sum()
 
 
 def spread(lines: np.ndarray, weights: np.ndarray, predicted: np.ndarray) -> np.ndarray:
