@@ -225,6 +225,10 @@ def test_scenarios_are_weighed_by_the_pictures_they_are_near_to():
     assert weigh(np.array([[near, far], [far, near]])) == pytest.approx([0.5, 0.5])
     # A scenario whose simulation diverged is worse than any that misses by 6 mm, but no more.
     assert weigh(np.array([[6e-3], [np.inf]])) == pytest.approx([0.5, 0.5])
+    # Where the place counts as well, a centimetre more is heard.
+    assert weigh(np.array([[6e-3], [16e-3]]), 5e-3, placed=True)[0] == pytest.approx(
+        1.0 / (1.0 + np.exp(-2.0))
+    )
     # Every picture in a scenario of its own: two of three are the first's.
     mixed = weigh(np.array([[near, near, far], [far, far, near]]), 0.5e-3, mixture=True)
     assert mixed == pytest.approx([2 / 3, 1 / 3], abs=1e-3)

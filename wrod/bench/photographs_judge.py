@@ -13,10 +13,12 @@ from wrod.identification.laid.placement import MissesByPart, foot, parts_of, raw
 from wrod.identification.laid.scenario import LaidRod, Scenario
 
 # Ways of predicting, the simplest first: the model with nothing fitted (None), or the scenarios'
-# mean with their weights' softness [m], each picture of a rod in the same scenario or its own.
+# mean with their weights' softness [m]: each picture of a rod in the same scenario or its own, by
+# where it is nearest to the picture or, with no motion, by where the picture shows the rod.
 SOFT = (4e-3, 2e-3, 1e-3, 0.5e-3)
-ONE, MIXTURE = "one scenario for all", "a mixture"
-WAYS = (None, *((kind, soft) for kind in (ONE, MIXTURE) for soft in SOFT))
+ONE, MIXTURE, PLACED = "one scenario for all", "a mixture", "one scenario for all, by place"
+KINDS = (ONE, MIXTURE, PLACED)
+WAYS = (None, *((kind, soft) for kind in KINDS for soft in SOFT))
 # What intervals of a prediction are to hold of the points seen.
 HELD = 0.8
 _OPTIMAL_WORLDS = 6
@@ -103,7 +105,7 @@ def judge(photographs: list[LaidPhotograph], laid: Deployments, drawn: int | Non
         ],
     )
     cases = [
-        _Case(p, tuple(one.values()), tuple(scenarios[p.rod].values()), column,
+        _Case(p, tuple(one.values()), tuple(scenarios[p.rod].values()), *column.T,
               list(scenarios[p.rod]).index(believed_scenario(p.rod)), cameras[p.pattern_name])
         for p, one, column in zip(photographs, rods, columns, strict=True)
     ]  # fmt: skip
@@ -128,7 +130,7 @@ def judge(photographs: list[LaidPhotograph], laid: Deployments, drawn: int | Non
         table = np.array([case.distances for case in own]).T
         way = WAYS[simplest(costs[None])]
         verdicts.append(
-            Verdict(rod, names, table, _weigh(table, way), way is not None, _width(missed),
+            Verdict(rod, names, table, _weigh(own, way), way is not None, _width(missed),
                     tuple(rows), tuple(predicted), tuple(case.camera for case in own), camera)
         )  # fmt: skip
     return verdicts
@@ -186,11 +188,13 @@ def distances(
 
 @dataclass(frozen=True)
 class _Case:
-    """One picture with what every scenario lays there, and how far that is [m]."""
+    """One picture with what every scenario lays there, and how far that is [m], where it is and
+    after one rigid motion."""
 
     photograph: LaidPhotograph
     rods: tuple[LaidRod, ...]
     scenarios: tuple[Scenario, ...]
+    raw: np.ndarray
     distances: np.ndarray
     believed: int
     camera: OverheadCamera
@@ -206,20 +210,26 @@ def _camera(told, without) -> OverheadCamera:
 
 
 def _column(photograph, rods, camera) -> np.ndarray:
-    return np.array([distances(photograph, one, camera)[1] for one in rods])
+    """(scenario, 2)"""
+    return np.array([distances(photograph, one, camera) for one in rods])
 
 
-def _weigh(distances, way) -> np.ndarray:
-    """(scenario,) weights of a way of predicting; where that is none, the usual ones."""
-    return weigh(distances) if way is None else weigh(distances, way[1], mixture=way[0] == MIXTURE)
+def _weigh(cases, way) -> np.ndarray:
+    """(scenario,) weights of a way of predicting by these pictures of a rod; where the way is none,
+    the usual ones."""
+    if way is None:
+        return weigh(np.array([c.distances for c in cases]).T)
+    kind, soft = way
+    told = np.array([c.raw if kind == PLACED else c.distances for c in cases]).T
+    return weigh(told, soft, mixture=kind == MIXTURE, placed=kind == PLACED)
 
 
 def _weights(own, case, way, without) -> np.ndarray:
     """(scenario,) weights for a picture of a rod, by its pictures of patterns not in `without`."""
-    others = [c.distances for c in own if c.photograph.pattern_name not in without]
+    others = [c for c in own if c.photograph.pattern_name not in without]
     if way is None or not others:
         return np.eye(len(case.scenarios))[case.believed]
-    return _weigh(np.array(others).T, way)
+    return _weigh(others, way)
 
 
 def _costs(cases, without) -> np.ndarray:
@@ -245,7 +255,7 @@ def _means(own, case, costs) -> dict[str, float]:
     """Distance [m] of the scenarios' means, each with the softness of the least cost."""
     total = costs.sum(axis=0)
     out = {}
-    for kind in (ONE, MIXTURE):
+    for kind in KINDS:
         of = [k for k, way in enumerate(WAYS) if way is not None and way[0] == kind]
         way = WAYS[min(of, key=lambda k: total[k])]
         out[kind] = _cost(own, case, way, {case.photograph.pattern_name})

@@ -10,8 +10,7 @@ from wrod.bench.photographs_deployments import Deployments, scenarios_of
 from wrod.bench.photographs_judge import (
     FIRST,
     HELD,
-    MIXTURE,
-    ONE,
+    KINDS,
     Row,
     Verdict,
     scenarios_for_optimal,
@@ -40,17 +39,16 @@ def left_out_table(verdicts: list[Verdict]) -> str:
     told = [
         [r.rod, r.pattern, f"{1e3 * r.believed_raw:.1f}, {1e3 * r.believed:.1f}",
          f"{1e3 * r.left_out_raw:.1f}, {1e3 * r.left_out:.1f} ({r.way})",
-         f"{1e3 * r.means[ONE]:.1f}", f"{1e3 * r.means[MIXTURE]:.1f}",
+         *(f"{1e3 * r.means[kind]:.1f}" for kind in KINDS),
          f"{1e3 * r.best:.1f} ({r.best_scenario})"]
         for r in rows
     ]  # fmt: skip
-    lines += table([*head, f"mean of the scenarios: {ONE}", MIXTURE, "best scenario"], told)
+    means = [f"the scenarios' mean, {kind}" for kind in KINDS]
+    lines += table([*head, *means, "best scenario"], told)
     ways = {
         "nothing fitted": [r.believed for r in rows],
         "left out by pattern": [r.left_out for r in rows],
-        **{
-            f"the scenarios' mean, {kind}": [r.means[kind] for r in rows] for kind in (ONE, MIXTURE)
-        },
+        **{name: [r.means[kind] for r in rows] for name, kind in zip(means, KINDS, strict=True)},
         "best of each": [r.best for r in rows],
     }
     lines += [

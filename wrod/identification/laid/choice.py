@@ -16,8 +16,9 @@ from wrod.identification.laid.placement import normals
 from wrod.identification.laid.scenario import LaidRod, Scenario
 
 # A picture that a scenario misses by more than this says no more against it [m]: it may have been
-# laid with another excess, and the other pictures are to be heard too.
-_CAP = 6e-3
+# laid with another excess, and the other pictures are to be heard too; more where the place counts
+# as well, which an overlay tells within millimetres.
+_CAP, _CAP_OF_PLACE = 6e-3, 20e-3
 # A gain counts from so many of its standard errors on: the best of many ways is ahead by one by
 # luck alone in more than a third of all cases, by two in a tenth (tests/test_photographs.py).
 _ERRORS = 2.0
@@ -26,7 +27,9 @@ _SOFT = 1e-3
 _POINTS = 600
 
 
-def weigh(distances: np.ndarray, soft: float = _SOFT, *, mixture: bool = False) -> np.ndarray:
+def weigh(
+    distances: np.ndarray, soft: float = _SOFT, *, mixture: bool = False, placed: bool = False
+) -> np.ndarray:
     """(scenario,) weights, summing to 1.
 
     Args:
@@ -34,11 +37,12 @@ def weigh(distances: np.ndarray, soft: float = _SOFT, *, mixture: bool = False) 
         soft: by which a weight falls by e [m]: what the model itself misses.
         mixture: weigh for each picture and take the mean of the weights, instead of weighing by
             the mean over the pictures.
+        placed: distances are those before any rigid motion.
 
     Raises:
         DataError: no picture.
     """
-    off = heard(distances)
+    off = heard(distances, _CAP_OF_PLACE if placed else _CAP)
     if off.ndim != 2 or off.shape[1] < 1:
         raise DataError("no photograph to weigh scenarios by; leaving one out takes two or more")
     if not mixture:
@@ -47,9 +51,9 @@ def weigh(distances: np.ndarray, soft: float = _SOFT, *, mixture: bool = False) 
     return (weights / weights.sum(axis=0)).mean(axis=1)
 
 
-def heard(distances: np.ndarray) -> np.ndarray:
-    """Distances [m] of pictures, cut where they say no more: at 6 mm."""
-    return np.minimum(np.asarray(distances, dtype=float), _CAP)
+def heard(distances: np.ndarray, most: float = _CAP) -> np.ndarray:
+    """Distances [m] of pictures, cut where they say no more [m]."""
+    return np.minimum(np.asarray(distances, dtype=float), most)
 
 
 def simplest(costs: np.ndarray) -> int:
