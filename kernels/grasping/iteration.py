@@ -54,6 +54,8 @@ class IterationTask:
     # Newton steps on one continuation step before it counts as failed, and in all.
     patience: int
     most_iterations: int
+    # Where general rods begin: as uniform straight ones (0), or as they are (1).
+    place: wp.float64
 
 
 def make_lead(size: int) -> tuple[wp.Function, wp.Function]:
@@ -214,7 +216,7 @@ def make_solver(size: int):
         kappa = wp.float64(curvature[r])
         w = walk.begin(r, kappa, task.target[r], task.increment[r], thrust[r], family)
         if wp.static(general):
-            w.place = ZERO
+            w.place = task.place
             w.goal = ONE
         while w.status == RUNNING:
             if wp.static(not general):

@@ -48,6 +48,9 @@ _INCREMENT, _LONG = 0.5, 4.0
 # Rods on meshes from contact (node 0) to grip, dimensionless, without ghosts: arguments of
 # `RodBatch` by name, and the weight (n, edges + 1) of every node.
 RodArrays = dict[str, np.ndarray]
+# Where iterations on both meshes ended, (n, numbers) each: state, thrust and family.
+Ends = tuple[np.ndarray, ...]
+Rows = slice | np.ndarray
 
 
 def _mirrored(rods: RodArrays, rows: np.ndarray) -> RodArrays:
@@ -97,15 +100,19 @@ def solve_general(
     rods: Callable[[int], RodArrays],
     roll: np.ndarray,
     options: GraspOptions,
+    start: Ends | None = None,
 ) -> dict[str, np.ndarray]:
     """Fields of `Grasps` for rods given by their arrays, and where `options.curvatures` asks for it
-    "coarse" and "fine", (n, node, 2) curvatures of the nodes on both meshes, 0 at the grip.
+    "coarse" and "fine", (n, node, 2) curvatures of the nodes on both meshes, 0 at the grip, and
+    "coarse_end" and "fine_end", where the iterations ended.
 
     Args:
         length, curvature, stretch_ratio: (n,) suspended length, signed curvature of the pattern,
             and stretch ratio of the uniform straight rod that the solver starts from.
         rods: the rods on meshes of so many edges.
         roll: (n,) angle about the tangent, at the contact, from up to the first director [rad].
+        start: where iterations of nearly the same rods ended, and NaN where there is nothing to
+            begin with; what is not found from there is sought as without.
     """
     edges = options.edge_count
     right = curvature < 0.0
@@ -126,16 +133,30 @@ def solve_general(
     meshes = [_mirrored(rods(count), right) for count in (edges // 2, edges)]
     roll = np.where(right, -roll, roll)
 
-    def solve(first: int) -> dict[str, np.ndarray]:
-        rows = slice(first, first + size)
-        part = _solve_chunk(
+    def solve_rows(rows: np.ndarray, start: Ends | None) -> dict[str, np.ndarray]:
+        return _solve_chunk(
             length[rows],
             curvature[rows],
             stretch_ratio[rows],
             [{name: value[rows] for name, value in mesh.items()} for mesh in meshes],
             roll[rows],
             options,
+            None if start is None else (start[0][rows], start[1][rows]),
         )
+
+    def solve(first: int) -> dict[str, np.ndarray]:
+        rows = np.arange(first, min(first + size, n))
+        known = rows[:0] if start is None else rows[~np.isnan(start[0][rows, 0])]
+        parts, rest = [], rows
+        if len(known) > 0:
+            part = solve_rows(known, start)
+            found = part["converged"]
+            rest = np.setdiff1d(rows, known[found])
+            parts.append({name: value[found] for name, value in part.items()})
+        if len(rest) > 0:
+            parts.append(solve_rows(rest, None))
+        back = np.argsort(np.concatenate([np.setdiff1d(rows, rest), rest]))
+        part = {name: np.concatenate([p[name] for p in parts])[back] for name in parts[0]}
         if options.progress is not None:
             options.progress(len(part["position"]))
         return part
@@ -218,7 +239,8 @@ class _GeneralLevel:
         self.state = per_rod(device, n, edges + 1, 7)
         self.family, self.twist = per_rod(device, n, 7), per_rod(device, n)
 
-    def solve(self, ladder: Ladder, closure: int) -> None:
+    def _begin(self, ladder: Ladder, closure: int) -> None:
+        """With the straight rod's grasp."""
         level, fine, device = self.straight, ladder.levels[-1], self.device
         n, edges = level.rods, level.edges
         wp.copy(level.curvature, fine.curvature)
@@ -229,11 +251,25 @@ class _GeneralLevel:
         level.solve(ladder.work, ladder.model, closure, ladder.scratch)
         inputs = [edges, level.shape, self.roll_array, level.family]
         launch(device, general_rod.start_general, n, inputs, [self.state, self.family], WIDE_BLOCK)
+
+    def solve(self, ladder: Ladder, closure: int, end: np.ndarray | None) -> None:
+        """From where the iterations of nearly these rods ended, or from straight rods."""
+        level, device = self.straight, self.device
+        n, edges = level.rods, level.edges
+        if end is None:
+            self._begin(ladder, closure)
+        else:
+            wp.copy(level.curvature, ladder.model[1])
+            state, thrust, family = np.split(end, [7 * (edges + 1), 7 * (edges + 1) + 1], axis=1)
+            put(self.state, state.reshape(n, edges + 1, 7))
+            put(level.thrust, thrust[:, 0])
+            put(self.family, family)
         slots = 1 if wp.get_device(device).is_cpu else n
         read = level.read
         # The curvature is the target's by now.
         model = [self.model.stretch_ratio, level.curvature, self.weight]
         task = make_task(model, level.tolerance, self.increment, closure)
+        task.place = 0.0 if end is None else 1.0
         state = [self.state, level.curvature, level.thrust, self.family]
         ladder.work.launch(
             iteration.solve_general,
@@ -254,23 +290,31 @@ class _GeneralLevel:
         launch(self.device, memory.read_curvature, n, inputs, [bent], WIDE_BLOCK)
         return bent.numpy()
 
-    def eigenvalue(self) -> np.ndarray:
-        """(n,) smallest eigenvalues of the rods as they are held."""
-        batch = self._held()
+    def end(self) -> np.ndarray:
+        """(n, numbers) where the iterations ended."""
+        state, thrust, family = (
+            value.contiguous().numpy() for value in (self.state, self.straight.thrust, self.family)
+        )
+        return np.concatenate([state.reshape(len(state), -1), thrust[:, None], family], axis=1)
+
+    def eigenvalue(self, rows: Rows) -> np.ndarray:
+        """Smallest eigenvalues of these rods as they are held."""
+        batch = self._held(rows)
         prescribe(batch, clamped_nodes=(0, 1, -1), clamped_angles=(0, -1))
         return smallest_eigenvalue(batch)
 
-    def growth(self) -> np.ndarray:
-        """(n,) of small departures of what is laid; see `growth.growth`."""
-        return growth(self._held())
+    def growth(self, rows: Rows) -> np.ndarray:
+        """Of small departures of what is laid; see `growth.growth`."""
+        return growth(self._held(rows))
 
-    def _held(self) -> RodBatch:
-        rods, state = self.rods, self.state.contiguous().numpy()
+    def _held(self, rows: Rows) -> RodBatch:
+        rods = {name: value[rows] for name, value in self.rods.items()}
+        state = self.state.contiguous().numpy()[rows]
         shape, director = state[:, :, :3], state[:, :-1, 3:6]
         rest = rods["rest_length"]
         # Clamped at the contact by a ghost edge along x, to which the first edge stands half of the
         # curvature's angle, and half of the contact's cell bends.
-        half = ghost(self.straight.curvature.numpy(), rest)[0]
+        half = ghost(self.straight.curvature.numpy()[rows], rest)[0]
         behind = np.zeros((len(rest), 1, 3))
         behind[:, 0, 0] = -rest[:, 0]
         c, s = np.cos(half), np.sin(half)
@@ -305,7 +349,7 @@ class _GeneralLevel:
 
 
 def _solve_chunk(
-    length, curvature, stretch_ratio, meshes, roll, options: GraspOptions
+    length, curvature, stretch_ratio, meshes, roll, options: GraspOptions, start: Ends | None
 ) -> dict[str, np.ndarray]:
     device, closure = options.device, options.closure
     n, edges = meshes[1]["rest_length"].shape
@@ -315,10 +359,11 @@ def _solve_chunk(
     ]
     ladder = Ladder(n, edges, device, False)
     ladder.expect(inputs, 0, n, sort=False)
-    ladder.climb(n, closure)
+    if start is None:
+        ladder.climb(n, closure)
     coarse, fine = (_GeneralLevel(mesh, roll, device, ladder) for mesh in meshes)
-    for level in (coarse, fine):
-        level.solve(ladder, closure)
+    for level, end in zip((coarse, fine), start or (None, None), strict=True):
+        level.solve(ladder, closure, end)
     out = empty_results(n, edges, device, sensitivities=False, shapes=options.shapes)
     levels = coarse.straight, fine.straight
     ladder.judge(levels, inputs[1], n, extrapolate=options.extrapolate, out=out)
@@ -329,7 +374,12 @@ def _solve_chunk(
     result["twist"] = twist + share * (twist - coarse.twist.numpy())
     if options.curvatures:
         result |= {"coarse": coarse.curvatures(), "fine": fine.curvatures()}
+        result |= {"coarse_end": coarse.end(), "fine_end": fine.end()}
     if options.eigenvalues:
-        result["eigenvalue"] = fine.eigenvalue()
-        result["growth"] = fine.growth()
+        # What is not found from a start is sought once more.
+        rows = slice(None) if start is None else np.flatnonzero(result["converged"])
+        for name, of in (("eigenvalue", fine.eigenvalue), ("growth", fine.growth)):
+            result[name] = np.full(n, np.nan)
+            if result["converged"].any() or start is None:
+                result[name][rows] = of(rows)
     return result

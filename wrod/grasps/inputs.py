@@ -29,7 +29,7 @@ class GraspOptions:
     Attributes:
         closure: its number.
         device: Warp's name of it.
-        curvatures: whether `solve_general` gives those of the nodes as well.
+        curvatures: whether `solve_general` gives those of the nodes, and its ends, as well.
     """
 
     closure: int

@@ -16,7 +16,7 @@ import warp as wp
 from scipy.interpolate import Akima1DInterpolator
 
 from wrod.errors import GraspError
-from wrod.grasps.general import RodArrays, solve_general
+from wrod.grasps.general import Ends, RodArrays, solve_general
 from wrod.grasps.inputs import GraspOptions
 from wrod.kernels.elastic.inelastic import Inelastic
 from wrod.kernels.grasping.memory import follow_flow
@@ -69,20 +69,28 @@ def solve_in_order(
     """
     coarse, fine = options.edge_count // 2, options.edge_count
     sweep = replace(options, eigenvalues=False, shapes=False, curvatures=True)
+    ends: list[Ends] = []
     for first in range(0, len(roll), _AT_ONCE):
-        rows = slice(first, first + _AT_ONCE)
+        rows, start = slice(first, first + _AT_ONCE), None
         history.go_on(rows)
         for _ in range(_SWEEPS):
             length, curvature, ratio = (value[rows] for value in inputs)
             rods = history.rods_of(rows)
-            found = solve_general(length, curvature, ratio, rods, roll[rows], sweep)
+            found = solve_general(length, curvature, ratio, rods, roll[rows], sweep, start)
+            start = found["coarse_end"], found["fine_end"]
+            for end in start:
+                end[~found["converged"]] = np.nan
             bent = {coarse: found["coarse"], fine: found["fine"]}
-            if history.follow(found["position"], found["converged"], bent):
+            known = history.follow(found["position"], found["converged"], bent)
+            if known:
                 break
-        else:
+        ends.append(start)
+        if not known:
             break  # what comes after would remember what is not known
-    everything = slice(None)
-    found = solve_general(*inputs, history.rods_of(everything), roll, options)
+    begun = [np.concatenate(of_mesh) for of_mesh in zip(*ends, strict=True)]
+    missing = (0, len(roll) - len(begun[0])), (0, 0)
+    start = tuple(np.pad(end, missing, constant_values=np.nan) for end in begun)
+    found = solve_general(*inputs, history.rods_of(slice(None)), roll, options, start)
     found["converged"] = found["converged"] & history.settled
     return found
 
@@ -188,22 +196,21 @@ class History:
         self, edges: int, node: np.ndarray, excess: np.ndarray, stiffness: np.ndarray
     ) -> np.ndarray:
         """(2, n, node, 2) excess and z of nodes at the contact before theirs, 0 at the first."""
-        points, count, first = self._point, len(node), self._rows.start
-        path = np.zeros((count, len(points), 2))
-        for i in range(count):
-            path[i, first + i :] = _akima(node[i], excess[i], points[first + i :])
+        points, first = self._point, self._rows.start
+        at = np.broadcast_to(points, (len(node), len(points)))
+        # Every contact is a point: the first that hangs there, and the first of the one before.
+        contact = first + np.arange(len(node))
+        hangs = np.arange(len(points)) >= contact[:, None]
+        path = np.where(hangs[..., None], _akima(node, excess, at), 0.0)
         of_points = np.stack([np.interp(points, node[0], stiffness[0, :, k]) for k in (0, 1)], 1)
         lagging, _ = self._flow(path, of_points, self._before[edges])
         went = np.stack([path, lagging], axis=1)
         self._here[edges] = went[-1]
-        before = np.zeros((2, *excess.shape))
-        for i in range(count):
-            if first + i == 0:
-                continue
-            both = went[i - 1] if i else self._before[edges]
-            both = np.concatenate([*both[:, first + i - 1 :]], axis=1)
-            before[:, i] = np.split(_akima(points[first + i - 1 :], both, node[i]), 2, axis=1)
-        return before
+        both = np.concatenate([self._before[edges][None], went[:-1]])
+        both = np.concatenate([both[:, 0], both[:, 1]], axis=2)
+        before = _akima(at, both, node, np.maximum(contact - 1, 0))
+        before[contact == 0] = 0.0
+        return np.stack(np.split(before, 2, axis=2))
 
     def _flow(
         self, excess: np.ndarray, stiffness: np.ndarray, start: np.ndarray
@@ -223,7 +230,30 @@ class History:
         return out[0].numpy(), out[1].numpy()
 
 
-def _akima(at: np.ndarray, value: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Values (n, k) at increasing places (n,) between them, without overshooting at kinks; beyond
-    them those at their ends."""
-    return Akima1DInterpolator(at, value)(np.clip(wanted, at[0], at[-1]))
+def _akima(
+    at: np.ndarray, value: np.ndarray, wanted: np.ndarray, first: np.ndarray | int = 0
+) -> np.ndarray:
+    """Values (row, wanted, k) at places between increasing ones (row, place) from each row's
+    `first` on, without overshooting at kinks; beyond them those at their ends.
+
+    To SciPy all rows are one curve, one after the other, between them two places on each side
+    whose slopes are what Akima takes beyond an end. Nothing further away counts.
+    """
+    row, first = np.arange(len(at)), np.broadcast_to(first, len(at))
+    beyond = np.array([1.0, 2.0])
+    ends = at[:, :1] - np.diff(at[:, :2]) * beyond[::-1], at[:, -1:] + np.diff(at[:, -2:]) * beyond
+    x = np.concatenate([ends[0], at, ends[1]], axis=1)
+    v = np.pad(value, ((0, 0), (2, 2), (0, 0)), mode="edge")
+
+    def slope(i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        return (v[row, j] - v[row, i]) / (x[row, j] - x[row, i])[:, None]
+
+    for end, out in ((first + 2, -1), (np.full(len(at), at.shape[1] + 1), 1)):
+        last, last_but_one = slope(end - out, end), slope(end - 2 * out, end - out)
+        for place in (end + out, end + 2 * out):
+            last, last_but_one = 2.0 * last - last_but_one, last
+            step = x[row, place] - x[row, place - out]
+            v[row, place] = v[row, place - out] + last * step[:, None]
+    apart = (row * (np.ptp(x) + 1.0))[:, None]
+    curve = Akima1DInterpolator((x + apart).ravel(), v.reshape(-1, v.shape[2]))
+    return curve(np.clip(wanted, at[row, first][:, None], at[:, -1:]) + apart)
