@@ -6,7 +6,7 @@ Nothing here asks the device anything: every method launches and returns. Dimens
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 import warp as wp
@@ -216,27 +216,36 @@ class Ladder:
     """
 
     def __init__(self, rods: int, edges: int, device: str, sensitivities: bool):
-        self.rods, self.device, self.sensitivities = rods, device, sensitivities
-        counts = [edges // 2, edges]
-        while counts[0] % 2 == 0 and counts[0] // 2 >= _COARSEST:
-            counts.insert(0, counts[0] // 2)
-        last = len(counts) - 2
+        self.rods, self.edges, self.device = rods, edges, device
+        self.sensitivities = sensitivities
         self.iterations = wp.zeros(rods, dtype=wp.int32, device=device)
-        self.levels = [
-            MeshLevel(rods, count, device, self.iterations, sensitivities and i >= last)
-            for i, count in enumerate(counts)
-        ]
-        slots = 1 if wp.get_device(device).is_cpu else rods
-        self.scratch = make_scratch(slots, edges, device)
         self.work, self.lost = WorkList(rods, device), WorkList(rods, device)
         self.length, *self.model = (per_rod(device, rods) for _ in range(4))
         # Sorting takes room for as many again.
         self.key = wp.empty(2 * rods, dtype=wp.float32, device=device)
         self.order = wp.empty(2 * rods, dtype=wp.int32, device=device)
 
+    @cached_property
+    def scratch(self) -> Scratch:
+        slots = 1 if wp.get_device(self.device).is_cpu else self.rods
+        return make_scratch(slots, self.edges, self.device)
+
+    @cached_property
+    def levels(self) -> list[MeshLevel]:
+        """From the coarsest to the finest; who begins on the last alone does without."""
+        counts = [self.edges // 2, self.edges]
+        while counts[0] % 2 == 0 and counts[0] // 2 >= _COARSEST:
+            counts.insert(0, counts[0] // 2)
+        last = len(counts) - 2
+        rods, device, iterations = self.rods, self.device, self.iterations
+        return [
+            MeshLevel(rods, count, device, iterations, self.sensitivities and i >= last)
+            for i, count in enumerate(counts)
+        ]
+
     def fits(self, rods: int, edges: int, device: str, sensitivities: bool) -> bool:
         """Whether this is the room that a call wants."""
-        mine = (self.rods, self.levels[-1].edges, self.device, self.sensitivities)
+        mine = (self.rods, self.edges, self.device, self.sensitivities)
         return mine == (rods, edges, device, sensitivities)
 
     @staticmethod
