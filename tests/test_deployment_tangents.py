@@ -14,7 +14,7 @@ from wrod.rods.law import Dahl, Plastic, Softening, StandardLinearSolid
 from wrod.solvers.friction import Friction
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.32)
-MESH = wrod.Discretisation(0.01, 0.02)
+MESH = wrod.Discretisation(0.014, 0.03)
 OPTIONS = dict(discretisation=MESH, speed=0.05)
 
 
