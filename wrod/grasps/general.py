@@ -37,7 +37,8 @@ from wrod.rods.state import Derivatives
 from wrod.solvers.stability import smallest_eigenvalue
 from wrod.solvers.statics import prescribe
 
-_CPU_CHUNK, _CUDA_CHUNK = 64, 8192
+# Solved at once at most, on a CPU and on a GPU; fewer than these a thread of Python gains nothing.
+_CPU_CHUNK, _CUDA_CHUNK, _CPU_LEAST = 64, 8192, 16
 # Numbers that an edge's properties are.
 _PROPERTIES = 14
 # How much of a rod's own properties is added at once at first: natural curvature [1/L_gb], or the
@@ -118,7 +119,8 @@ def solve_general(
     right = curvature < 0.0
     on_cpu, n = options.device == "cpu", len(length)
     workers = (options.threads or usable_cores()) if on_cpu else 1
-    size = max(1, min(_CPU_CHUNK if on_cpu else _CUDA_CHUNK, -(-n // workers)))
+    least = min(n, _CPU_LEAST)
+    size = max(least, min(_CPU_CHUNK if on_cpu else _CUDA_CHUNK, -(-n // workers)), 1)
     # Properties on both meshes and results, twice while they are put together, stay in this
     # machine's memory.
     kept = 2.0 * result_bytes(edges, sensitivities=False, shapes=options.shapes)
