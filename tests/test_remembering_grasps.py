@@ -9,8 +9,8 @@ from scipy.optimize import fsolve
 
 import wrod
 from wrod.errors import GraspError
+from wrod.grasps import relaxed
 from wrod.grasps.mesh import WEIGHT
-from wrod.grasps.relaxed import solve_relaxed
 from wrod.rods.law import Dahl, Linear, Plastic
 from wrod.rods.model_file import rod_as_json
 
@@ -99,7 +99,7 @@ def test_a_wire_that_yields_early_is_found():
     assert found.converged.all()
 
 
-def test_where_a_bent_wire_cannot_hang_a_straighter_one_does():
+def test_where_a_bent_wire_cannot_hang_a_straighter_one_does(monkeypatch):
     knots = np.arange(0.0, ROD.length, 0.03)
     bends = 45.0 * np.random.default_rng(2).uniform(-1.0, 1.0, (2, len(knots)))
     wire = replace(
@@ -107,9 +107,17 @@ def test_where_a_bent_wire_cannot_hang_a_straighter_one_does():
     )
     contacts, lines = np.linspace(0.11, 0.16, 20), np.zeros(20)
     how = dict(held_roll=0.5 * np.pi, edge_count=32, device="cpu")
-    own = wrod.solve_rod_grasps(wire, contacts, lines, **how)
+    solved, solve = [], relaxed.solve_rod_grasps
+
+    def kept(*args, **options):
+        solved.append((options["natural_share"], solve(*args, **options)))
+        return solved[-1][1]
+
+    monkeypatch.setattr(relaxed, "solve_rod_grasps", kept)
+    grasps, share = relaxed.solve_relaxed(wire, contacts, lines, **how)
+    asked, own = solved[0]
+    assert (asked == 1.0).all() and len(own) == len(contacts)
     assert 4 < (~own.converged).sum() < 16
-    grasps, share = solve_relaxed(wire, contacts, lines, **how)
     assert grasps.converged.all()
     assert (share[~own.converged] < 1.0).all() and (share > 0.0).all()
     # They are the same whether asked for with the share beforehand, and twice of it is too much.
