@@ -149,7 +149,7 @@ def test_models_of_the_error_say_what_a_network_lays(monkeypatch):
 def test_a_network_learns_what_plans_do_and_mirrors_it(tmp_path):
     from wrod.training.distil import course_of, distil
 
-    corrector = distil([synthetic(i) for i in range(32)], steps=250)
+    corrector = distil([synthetic(i) for i in range(32)], steps=150)
     said = corrector.metadata
     assert said["error"] < 0.5 * said["static"] and said["optimised"] == 0.0
     path = corrector.save(tmp_path / "corrections.safetensors")
@@ -213,7 +213,7 @@ def test_the_network_learns_what_lies_and_not_what_the_corrections_are():
             plan_files.Bowl(0.0, np.zeros(values.size), matters),
         )
         samples.append(replace(one, anchors=np.stack([0.0 * values, values]), bowls=bowls))
-    corrector = distil(samples, steps=250)
+    corrector = distil(samples, steps=150)
     assert corrector.metadata["error"] < 0.5 * corrector.metadata["static"]
     fresh = synthetic(1000)
     found = corrector.predict(course_of(fresh))[:, 1]

@@ -135,15 +135,15 @@ def bent_cable() -> RodModel:
 def test_where_a_bent_rod_cannot_hang_a_straighter_one_does():
     from wrod.grasps.relaxed import solve_relaxed
 
-    model, contact = bent_cable(), np.linspace(0.3, 0.7, 60)
+    model, contact = bent_cable(), np.linspace(0.3, 0.7, 32)
     own = solve_rod_grasps(model, contact, 0.0, held_roll=UP, edge_count=32)
     lacking = ~own.converged
-    assert 5 < lacking.sum() < 55
+    assert 3 < lacking.sum() < 29
     # Most are in balance and stable all the same, but under the table.
     dips = own.stable & (own.residual < 1e-6 * own.force_unit)
     dips &= own.shape[..., 2].min(axis=1) < -1e-6 * own.length_unit
     assert dips.sum() > 0.5 * lacking.sum() and not own.converged[dips].any()
-    grasps, share = solve_relaxed(model, contact, np.zeros(60), held_roll=UP, edge_count=32)
+    grasps, share = solve_relaxed(model, contact, np.zeros(32), held_roll=UP, edge_count=32)
     assert grasps.converged.all()
     assert (share[lacking] < 1.0).all() and (share > 0.0).all()
     assert grasps.shape[..., 2].min() >= -1e-6 * grasps.length_unit
@@ -165,10 +165,10 @@ def test_a_plan_says_which_grasps_are_of_a_straighter_rod():
     model = bent_cable()
     line = Pattern(*strokes(0.0, straight(0.4), []), name="line")
     with pytest.warns(WrodWarning, match="of a rod with less natural curvature"):
-        path = wrod.plan(line, model, spacing=0.02, remainder=False)
+        path = wrod.plan(line, model, spacing=0.05, remainder=False)
     assert 0.0 < path.metadata["natural_share"] < 1.0
     straighter = replace(model, natural_curvature=(Profile((0.0,)), Profile((0.0,))))
-    assert "natural_share" not in wrod.plan(line, straighter, spacing=0.02).metadata
+    assert "natural_share" not in wrod.plan(line, straighter, spacing=0.05).metadata
 
 
 def test_the_straight_rods_plan_is_taken_where_it_is_expected_to_lay_better(monkeypatch):
