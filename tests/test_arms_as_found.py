@@ -217,7 +217,7 @@ def test_an_obstacle_in_the_way_is_named_and_one_beside_is_kept_clear_of(
     import torch
 
     q = torch.from_numpy(path.node_positions.copy())
-    a, b = (p.numpy() for p in model.points(path.robot.chain.forward_kinematics_tensor(q)))
+    a, b = (p.numpy() for p in model.points(path.robot.jacobian.frames(q)))
     # By points on the capsules of both, densely.
     u = np.linspace(0.0, 1.0, 9)[:, None]
     wall_points = (starts[:, None] * (1 - u) + ends[:, None] * u).reshape(-1, 3)

@@ -228,6 +228,34 @@ def test_segment_distance_against_many_points():
     assert (parallel <= 9.0 + 1e-9).all()
 
 
+def test_what_a_path_costs_has_its_gradient():
+    """Links, table, laid and hanging rod, an obstacle, limits, long steps and singularities."""
+    from wrod.robot.collision import CollisionModel
+    from wrod.robot.redundancy import PathCost, Surroundings, gaps
+
+    robot, rng = load_robot("sawyer"), np.random.default_rng(1)
+    model, count = CollisionModel(robot), 12
+    q = rng.uniform(-1.5, 1.5, 7) + 0.15 * np.cumsum(rng.normal(size=(count, 7)), axis=0)
+    laid = np.column_stack([np.linspace(0.3, 0.8, 60), np.zeros(60), np.full(60, -0.2)])
+    ends = rng.normal(size=(2, count, 3, 3))
+    around = Surroundings(
+        -0.2, laid, 5 * np.arange(count), 0.003, (*ends, np.full(3, 0.2)), "obstacle",
+        0.5 * rng.normal(size=(count, 12, 3)),
+    )  # fmt: skip
+    import torch
+
+    near = gaps(model, torch.from_numpy(q), around)
+    assert len(near) == 5 and all((gap < 0.035).any() for gap in near.values())
+    cost = PathCost(robot, model, count, longest=0.1, singular_weight=2e4)
+    value, gradient = cost.penalty(q, around, True)
+    assert value == pytest.approx(cost.penalty(q, around)[0], rel=1e-12)
+    for _ in range(3):
+        way, step = rng.normal(size=q.shape), 1e-6
+        ahead, behind = (cost.penalty(q + s * way, around)[0] for s in (step, -step))
+        slope = (ahead - behind) / (2 * step)
+        assert np.vdot(gradient, way) == pytest.approx(slope, rel=1e-6, abs=1e-6 * value)
+
+
 def test_files_hold_the_path(tmp_path, letter_path):
     table, arrays = letter_path.save(tmp_path / "joint_path")
     lines = table.read_text().splitlines()

@@ -40,12 +40,11 @@ class Arm:
         return start, end, self.model.radius
 
     def _frames(self, positions: np.ndarray):
-        """(frame, K, 4, 4) of the chain in the base."""
+        """(K, n, 4, 4) of the joints in the base."""
         import torch
 
         with torch.no_grad():
-            q = torch.tensor(positions)
-            return self.robot.chain.forward_kinematics_tensor(q)
+            return self.robot.jacobian.frames(torch.tensor(positions))
 
     def grasps(self, positions: np.ndarray) -> np.ndarray:
         """(K, 4, 4) poses of the grasp in the table's frame [m]."""
@@ -64,7 +63,7 @@ class Arm:
         low = self._lifted
         heights = np.minimum(start[:, low, 2].numpy(), end[:, low, 2].numpy())
         table = (heights - self.model.radius[low]).min(1) - self.placement.z
-        poses = self.base @ frames[self.robot.chain._serial_eef_frame_idx].numpy()
+        poses = self.base @ self.robot.jacobian.pose(frames).numpy()
         tips = (poses[:, 2, :3] @ self.hand.tips.T).min(1) + poses[:, 2, 3]
         rooms = {"links": links, "table": table, "tips": tips}
         if other is not None:

@@ -39,7 +39,7 @@ def met_at(
 
     with torch.no_grad():
         q = torch.from_numpy(positions[beyond.nodes])
-        start, end = model.points(model.robot.chain.forward_kinematics_tensor(q))
+        start, end = model.points(model.robot.jacobian.frames(q))
         rod = torch.from_numpy(placement.to_base(beyond.shape))
         gap = segment_distance(
             start[:, :, None], end[:, :, None], rod[:, None, :-1], rod[:, None, 1:]

@@ -73,13 +73,9 @@ class CollisionModel:
         self.links = [self.shapes[k].link for k in shape_of]
         self.radius = np.array([c[2] for c in capsules])
         self.anchors = [self._anchor(link) for link in self.links]
-        self._frame = [robot.chain.frame_to_idx[a] for a in self.anchors]
-        self._start, self._end = (
-            np.array(list(map(self._in_anchor, self.links, ends)))
-            for ends in list(zip(*capsules, strict=True))[:2]
-        )
         depth = self._depths()
         self.depth = np.array([depth[a] for a in self.anchors])
+        self._ends = self._carried(np.array([c[:2] for c in capsules]))
         self.pairs = self._pairs()
         # The first two moving links stay over the pedestal; whatever comes after may reach down.
         self.low = np.flatnonzero(self.depth >= 2)
@@ -93,13 +89,23 @@ class CollisionModel:
             link = above[link][0]
         return link
 
-    def _in_anchor(self, link: str, point: np.ndarray) -> np.ndarray:
-        anchor = self._anchor(link)
-        if anchor == link:
-            return point
-        poses = self.robot.link_poses(np.zeros((1, len(self.robot.joint_names))))
-        relative = np.linalg.inv(poses[anchor][0]) @ poses[link][0]
-        return relative[:3, :3] @ point + relative[:3, 3]
+    def _carried(self, ends: np.ndarray) -> torch.Tensor:
+        """(C, 3, 2) ends of the capsules (C, 2, 3) in frames of the joints that carry them."""
+        import torch
+
+        rest = np.zeros((1, len(self.robot.joint_names)))
+        poses = self.robot.link_poses(rest)
+        with torch.no_grad():
+            carriers = self._carriers(self.robot.jacobian.frames(torch.from_numpy(rest)))
+        relative = np.linalg.solve(carriers[0].numpy(), np.stack([poses[k][0] for k in self.links]))
+        return torch.from_numpy(relative[:, :3, :3] @ ends.mT + relative[:, :3, 3:])
+
+    def _carriers(self, frames: torch.Tensor) -> torch.Tensor:
+        """(B, C, 4, 4) frames in which the capsules stand still, of joints' frames."""
+        import torch
+
+        base = torch.eye(4, dtype=torch.float64).expand(len(frames), 1, 4, 4)
+        return torch.cat([base, frames], 1)[:, self.depth]
 
     def _depths(self) -> dict[str, int]:
         """Moving joints between the base and each link of the chain."""
@@ -135,8 +141,7 @@ class CollisionModel:
         upper = np.minimum(robot.upper, np.pi)
         q = np.random.default_rng(0).uniform(lower, upper, (200, len(lower)))
         with torch.no_grad():
-            frames = robot.chain.forward_kinematics_tensor(torch.from_numpy(q))
-            start, end = self.points(frames)
+            start, end = self.points(robot.jacobian.frames(torch.from_numpy(q)))
         self.pairs = pairs
         hit = (self.self_distances(start, end) < 0).numpy()
         # Shapes, not capsules: a mesh is built into its neighbour with any of its capsules.
@@ -148,16 +153,23 @@ class CollisionModel:
         return share
 
     def points(self, frames: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Ends of the capsules in the base frame, (B, C, 3) each, from the chain's frames."""
+        """Ends of the capsules in the base frame, (B, C, 3) each [m], from the joints' frames
+        (`GraspJacobian.frames`)."""
+        carriers = self._carriers(frames)
+        start, end = (carriers[..., :3, :3] @ self._ends + carriers[..., :3, 3:]).unbind(-1)
+        return start, end
+
+    def by_joints(self, frames, points, slopes) -> torch.Tensor:
+        """(B, n) derivatives by the joints' positions of what has derivatives `slopes`, two of
+        (B, C, 3), by the capsules' ends, two of (B, C, 3): forces, whose torques these are."""
         import torch
 
-        picked = frames[self._frame]  # (C, B, 4, 4)
-        rotation, origin = picked[..., :3, :3], picked[..., :3, 3]
-        out = []
-        for local in (self._start, self._end):
-            local = torch.from_numpy(local)[:, None, :, None]
-            out.append(((rotation @ local).squeeze(-1) + origin).transpose(0, 1))
-        return out[0], out[1]
+        below = torch.from_numpy(self.depth > np.arange(frames.shape[1])[:, None]).double()
+        force = below @ (slopes[0] + slopes[1])
+        cross = torch.linalg.cross
+        moment = below @ sum(cross(p, f) for p, f in zip(points, slopes, strict=True))
+        about = moment - cross(frames[..., :3, 3], force)
+        return _dot(about, self.robot.jacobian.axes(frames))
 
     def self_distances(self, start: torch.Tensor, end: torch.Tensor) -> torch.Tensor:
         """(B, pairs) gap between the capsules of each pair [m], negative where they overlap."""

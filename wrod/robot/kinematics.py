@@ -14,6 +14,10 @@ from wrod.robot.model import Robot
 if TYPE_CHECKING:
     import torch
 
+# Of inverse kinematics from far away: steps that keep no joint's range, and that keep all, and the
+# farthest that a joint turns in one [rad].
+_FREE_STEPS, _KEPT_STEPS, _FARTHEST = 40, 10, 0.8
+
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
@@ -129,7 +133,7 @@ def refine(
                 break
             size = step.abs().amax(-1, keepdim=True)
             q = q + step * (0.3 / size.clamp_min(0.3))
-        pose = robot.jacobian(q)[1]
+        pose = robot.jacobian.pose(robot.jacobian.frames(q))
         return q.numpy(), pose_error(pose, goal).numpy()
 
 
@@ -139,13 +143,21 @@ def grasp_poses(robot: Robot, positions: np.ndarray) -> np.ndarray:
 
     q = torch.from_numpy(np.array(np.atleast_2d(positions), dtype=np.float64))
     with torch.no_grad():
-        return robot.jacobian(q)[1].numpy()
+        return robot.jacobian.pose(robot.jacobian.frames(q)).numpy()
+
+
+def ranges(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Width and middle of each joint's range (n,) [rad]; very wide about 0 for continuous ones."""
+    turns = np.isfinite(robot.lower) & np.isfinite(robot.upper)
+    lower, upper = np.where(turns, robot.lower, -500.0), np.where(turns, robot.upper, 500.0)
+    return upper - lower, (upper + lower) / 2
 
 
 def solve_poses(
     robot: Robot, target: np.ndarray, seeds: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse kinematics of several poses from several seeds each (`PseudoInverseIK`).
+    """Inverse kinematics of several poses from several seeds each: Newton steps wherever they
+    lead, then, turned and clamped into the joints' ranges, within these.
 
     Args:
         target: (P, 4, 4) poses of the grasp in the base frame [m].
@@ -154,19 +166,32 @@ def solve_poses(
     Returns:
         joint positions (P, S, n) [rad] and whether each reached its pose (P, S) within 1e-4.
     """
-    import pytorch_kinematics as pk
     import torch
 
-    solver = pk.PseudoInverseIK(
-        robot.chain,
-        pos_tolerance=1e-4,
-        rot_tolerance=1e-4,
-        retry_configs=torch.from_numpy(np.array(seeds, dtype=np.float64)),
-        max_iterations=40,
-        early_stopping_no_improvement=None,
-        regularlization=1e-6,
-        lr=0.7,
-    )
+    goals = torch.from_numpy(np.repeat(target, len(seeds), axis=0))
+    q = torch.from_numpy(np.tile(np.asarray(seeds, dtype=np.float64), (len(target), 1)))
+    lower, upper = torch.from_numpy(robot.lower), torch.from_numpy(robot.upper)
+    middle = torch.from_numpy(ranges(robot)[1])
     with torch.no_grad():
-        solution = solver.solve(pk.Transform3d(matrix=torch.from_numpy(np.array(target))))
-    return solution.solutions.numpy(), solution.converged.numpy()
+        for steps, kept in ((_FREE_STEPS, False), (_KEPT_STEPS, True)):
+            if kept:
+                turned = middle + (q - middle + np.pi).remainder(2 * np.pi) - np.pi
+                q = turned.clamp(lower, upper)
+            left = torch.arange(len(q))
+            for _ in range(steps):
+                step, _, error = newton_step(robot, q[left], goals[left])
+                off = _far(error)
+                left, step = left[off], step[off]
+                if len(left) == 0:
+                    break
+                size = step.abs().amax(-1, keepdim=True)
+                moved = q[left] + step * (_FARTHEST / size.clamp_min(_FARTHEST))
+                q[left] = moved.clamp(lower, upper) if kept else moved
+        missed = _far(pose_error(robot.jacobian.pose(robot.jacobian.frames(q)), goals))
+    shape = len(target), len(seeds)
+    return q.reshape(*shape, -1).numpy(), ~missed.reshape(shape).numpy()
+
+
+def _far(error: torch.Tensor) -> torch.Tensor:
+    """(B,) whether pose errors (B, 6) are more than 1e-4 [m] or [rad]."""
+    return (error[:, :3].norm(dim=-1) > 1e-4) | (error[:, 3:].norm(dim=-1) > 1e-4)

@@ -2,10 +2,11 @@
 
 Each pose of a seven-joint arm leaves one motion of the elbow. Those motions at all samples are
 chosen together: short steps, distance from joint limits, obstacles and singularities. Gauss-Newton
-on the smoothness, gradient of the rest (autograd through pytorch-kinematics), and after each step
-a Newton projection back onto the grip poses.
+on the smoothness, gradient of the rest, and after each step a Newton projection back onto the grip
+poses.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,35 +57,44 @@ def gaps(model: CollisionModel, positions, around: Surroundings) -> dict:
     The laid rod lies on the table: poses that keep `GAP_ROOM` above it need no closer look, and
     get the height above the rod for their gap.
     """
+    start, end = model.points(model.robot.jacobian.frames(positions))
+    return {kind: gap(start, end, slice(None)) for kind, gap in _kinds(model, around).items()}
+
+
+def _kinds(model: CollisionModel, around: Surroundings) -> dict[str, Callable]:
+    """Each kind of `gaps` by itself: of the capsules' ends (B, C, 3) at these rows of samples."""
     import torch
 
-    start, end = model.points(model.robot.chain.forward_kinematics_tensor(positions))
-    table = model.table_distances(start, end, around.table_height)
-    laid = table - around.rod_radius
-    close = torch.nonzero(laid.detach().amin(1) < GAP_ROOM).squeeze(1)
-    if len(close):
+    def table(start, end, _):
+        return model.table_distances(start, end, around.table_height)
+
+    def laid(start, end, rows):
+        gap = table(start, end, rows) - around.rod_radius
+        close = torch.nonzero(gap.detach().amin(1) < GAP_ROOM).squeeze(1)
+        if len(close) == 0:
+            return gap
+        points, count = torch.from_numpy(around.contact), torch.from_numpy(around.laid[rows])
         near = model.laid_distances(
-            start[close],
-            end[close],
-            torch.from_numpy(around.contact),
-            torch.from_numpy(around.laid)[close],
-            around.rod_radius,
+            start[close], end[close], points, count[close], around.rod_radius
         )
-        laid = laid.index_copy(0, close, near)
-    found = {"links": model.self_distances(start, end), "table": table, "laid rod": laid}
+        return gap.index_copy(0, close, near)
+
+    def beside(mine, first, last, radius):
+        def gap(start, end, rows):
+            ends = start[:, mine], end[:, mine]
+            return between(*ends, model.radius[mine], first[rows], last[rows], radius).amin(-1)
+
+        return gap
+
+    kinds = {"links": lambda start, end, _: model.self_distances(start, end), "table": table}
+    kinds["laid rod"] = laid
     if around.other is not None:
-        mine = model.moving
-        gap = between(start[:, mine], end[:, mine], model.radius[mine], *around.other)
-        found[around.other_name] = gap.amin(-1)
+        kinds[around.other_name] = beside(model.moving, *around.other)
     if around.hanging is not None and len(model.before_hand):
-        mine = model.before_hand
         points = around.hanging
         thick = np.full(points.shape[1] - 1, around.rod_radius)
-        gap = between(
-            start[:, mine], end[:, mine], model.radius[mine], points[:, :-1], points[:, 1:], thick
-        )
-        found["hanging rod"] = gap.amin(-1)
-    return found
+        kinds["hanging rod"] = beside(model.before_hand, points[:, :-1], points[:, 1:], thick)
+    return kinds
 
 
 class PathCost:
@@ -124,6 +134,12 @@ class PathCost:
         import torch
 
         variable = torch.from_numpy(q).requires_grad_(gradient)
+        jacobian = self.robot.jacobian
+        with torch.no_grad():
+            frames = jacobian.frames(variable)
+            singular = torch.nonzero(
+                manipulability(jacobian.of(frames)[0]) < MANIPULABILITY_ROOM
+            ).squeeze(1)
         with torch.set_grad_enabled(gradient):
             room = torch.minimum(variable - self._lower, self._upper - variable)
             cost = 20.0 * (LIMIT_ROOM - room).clamp_min(0).square().sum()
@@ -132,17 +148,41 @@ class PathCost:
                 steps = (variable[1:] - variable[:-1]).abs() - self.longest
                 near = near + steps.clamp_min(0).square().sum()
             cost = cost + self.limit_weight * near
-            distances = gaps(self.model, variable, around)
-            for gap in distances.values():
-                cost = cost + 2000.0 * (GAP_ROOM - gap).clamp_min(0).square().sum()
-                cost = cost + 4e4 * (_LEAST_GAP - gap).clamp_min(0).square().sum()
-            measure = manipulability(self.robot.jacobian(variable)[0])
-            singular = (MANIPULABILITY_ROOM - measure).clamp_min(0).square().sum()
-            cost = cost + self.singular_weight * singular
+            if len(singular):
+                measure = manipulability(jacobian(variable[singular])[0])
+                lacking = (MANIPULABILITY_ROOM - measure).square().sum()
+                cost = cost + self.singular_weight * lacking
+        value, slope = self._nearness(frames, around, gradient)
         if gradient:
             cost.backward()
-            return float(cost.detach()), variable.grad.numpy()
-        return float(cost), None
+            return float(cost.detach()) + value, (variable.grad + slope).numpy()
+        return float(cost) + value, None
+
+    def _nearness(self, frames, around: Surroundings, gradient: bool):
+        """What small gaps cost at joints' frames, and the gradient (K, n) where that is asked for:
+        only samples that come near anything are looked at with derivatives."""
+        import torch
+
+        with torch.no_grad():
+            points = self.model.points(frames)
+        slopes = tuple(torch.zeros_like(p) for p in points)
+        value = 0.0
+        for gap in _kinds(self.model, around).values():
+            with torch.no_grad():
+                found = gap(*points, slice(None))
+            rows = torch.nonzero((found < GAP_ROOM).any(1)).squeeze(1)
+            if len(rows) == 0:
+                continue
+            near = [p[rows].requires_grad_(gradient) for p in points]
+            with torch.set_grad_enabled(gradient):
+                found = gap(*near, rows.numpy()) if gradient else found[rows]
+                cost = 2000.0 * (GAP_ROOM - found).clamp_min(0).square().sum()
+                cost = cost + 4e4 * (_LEAST_GAP - found).clamp_min(0).square().sum()
+            value += float(cost.detach())
+            if gradient:
+                for slope, part in zip(slopes, torch.autograd.grad(cost, near), strict=True):
+                    slope[rows] += part
+        return value, self.model.by_joints(frames, points, slopes) if gradient else None
 
     def total(self, q: np.ndarray, around: Surroundings) -> float:
         flat = q.reshape(-1)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.robot.grip import TURN_LENGTH, Grip, TravelledPath, grasp_targets
-from wrod.robot.kinematics import newton_step, null_projection, solve_poses
+from wrod.robot.kinematics import newton_step, null_projection, ranges, solve_poses
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
 
@@ -78,7 +78,6 @@ def follow_targets(
     inset = 0.15 * (upper - lower)
     start = rng.uniform(lower + inset, upper - inset, (seeds, len(lower)))
     solved, _ = solve_poses(robot, targets[:, middle], start)
-    solved = _wrap(robot, solved)
     count = len(targets) * seeds
     q = solved.reshape(count, -1)
     goals = np.repeat(targets, seeds, axis=0)
@@ -102,19 +101,6 @@ def follow_from(
     return list(zip(range(len(targets)), *found, strict=True))
 
 
-def _ranges(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Width and middle of each joint's range (n,) [rad]; very wide about 0 for continuous ones."""
-    turns = np.isfinite(robot.lower) & np.isfinite(robot.upper)
-    lower, upper = np.where(turns, robot.lower, -500.0), np.where(turns, robot.upper, 500.0)
-    return upper - lower, (upper + lower) / 2
-
-
-def _wrap(robot: Robot, positions: np.ndarray) -> np.ndarray:
-    """Turn each joint by whole turns to where it is nearest the middle of its range."""
-    _, middle = _ranges(robot)
-    return middle + (positions - middle + np.pi) % (2 * np.pi) - np.pi
-
-
 def _follow(robot: Robot, start: np.ndarray, targets: np.ndarray, middle: int):
     """Newton steps with a pull towards the middle of the joints' ranges in the null space.
 
@@ -129,7 +115,7 @@ def _follow(robot: Robot, start: np.ndarray, targets: np.ndarray, middle: int):
 
     goals = torch.from_numpy(np.ascontiguousarray(targets))
     first = torch.from_numpy(np.array(start))
-    span, centre = map(torch.from_numpy, _ranges(robot))
+    span, centre = map(torch.from_numpy, ranges(robot))
     batch, count = goals.shape[:2]
     positions = torch.empty((batch, count, first.shape[1]), dtype=torch.float64)
     miss = torch.empty((batch, count), dtype=torch.float64)

@@ -103,7 +103,7 @@ class Hand:
         robot = model.robot
         rest = np.zeros((1, len(robot.joint_names)))
         with torch.no_grad():
-            frames = robot.chain.forward_kinematics_tensor(torch.from_numpy(rest))
+            frames = robot.jacobian.frames(torch.from_numpy(rest))
             points = [p[0].numpy() for p in model.points(frames)]
         grasp = np.linalg.inv(grasp_poses(robot, rest)[0])
         start, end = (p @ grasp[:3, :3].T + grasp[:3, 3] for p in points)
