@@ -17,6 +17,7 @@ from wrod.patterns.curve import arc_length
 _MAX_SITES = 400  # columns of the regression; a rod pattern of 0.8 m then has a knot every 2 mm
 _MIN_SMOOTHED = 8  # fewer points say nothing about their noise and are interpolated
 _GAMMA = 1.4  # weight of a degree of freedom in GCV against undersmoothing (Kim and Gu 2004)
+_SETTLED = 0.3  # of the noise, by which a point may yet move along the curve
 _NOISE_FLOOR = 1e-9  # of the pattern's length: smaller residuals are rounding, not information
 
 
@@ -131,22 +132,23 @@ def fit_heading(
     level = None if smoothing is None else smoothing / scale
     t = arc_length(scaled)
     # Noise lengthens the chords; refitting over the fitted curve's own arc length removes that.
-    # The noise along the curve is taken up by the parameter, so what is left is that across it.
+    # The noise along the curve is taken up by the parameter, so what is left is that across it;
+    # steps of the parameter below that bring the curve no nearer to the true one.
     for _ in range(4):
         spline = _PenalisedSpline(t, scaled)
         lam = spline.choose(level)
         curve = spline.fit(lam)
         arc, fine = _arc_length(curve)
         measured = np.interp(t, fine, arc)
-        if np.any(np.diff(measured) <= 0.0) or np.max(np.abs(measured - t)) < 1e-7:
+        noise = np.sqrt(spline.residual(lam) / max(spline.count - spline.freedom(lam), 1.0))
+        step = np.max(np.abs(measured - t))
+        if np.any(np.diff(measured) <= 0.0) or step < max(1e-7, _SETTLED * noise):
             break
         t = measured
-    freedom = max(spline.count - spline.freedom(lam), 1.0)
-    noise = np.sqrt(spline.residual(lam) / freedom) * scale
     velocity = curve.derivative()(fine)
     heading = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
     heading = make_interp_spline(arc * scale, heading, 5)
-    return PPoly.from_spline(heading), curve(fine[0]) * scale, float(noise)
+    return PPoly.from_spline(heading), curve(fine[0]) * scale, float(noise * scale)
 
 
 def _arc_length(curve: BSpline) -> tuple[np.ndarray, np.ndarray]:
