@@ -336,7 +336,7 @@ def scanned(*arguments):
 
 
 def test_command_writes_paths_and_metres(tmp_path, camera, layout):
-    Image.fromarray(drawing(camera, layout, loop())).save(tmp_path / "loop.png")
+    Image.fromarray(drawing(camera, layout, loop())).save(tmp_path / "loop.png", compress_level=1)
     result = scanned(
         tmp_path / "loop.png", "--markers", tmp_path / "layout.json", "--out", tmp_path / "o"
     )
@@ -372,7 +372,7 @@ def test_command_scans_the_good_pictures_and_names_the_bad(tmp_path):
 def test_plan_takes_a_picture(tmp_path, camera, layout):
     x = np.linspace(0.05, 0.24, 400)
     bow = np.column_stack([x, 0.08 + 3.0 * (x - 0.145) ** 2])
-    Image.fromarray(drawing(camera, layout, bow)).save(tmp_path / "bow.png")
+    Image.fromarray(drawing(camera, layout, bow)).save(tmp_path / "bow.png", compress_level=1)
     rod = ["--rod", "green-vps", "--spacing", "0.05", "--no-robot", "--no-expect"]
     rod += ["--out", str(tmp_path / "plan")]
     markers = ["--markers", str(tmp_path / "layout.json"), "--start", "lower-right"]

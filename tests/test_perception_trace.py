@@ -32,19 +32,20 @@ def draw(paths, radius, size=SIZE):
     return cv2.resize(mask, size[::-1], interpolation=cv2.INTER_AREA) > 127
 
 
-def distances(line, truth):
-    """Mean nearest distance both ways, and the largest ordered distance (from either end)."""
-    (dense,) = refine.resample(line.points, 0.1)
-    (true,) = refine.resample(truth, 0.1)
-    nearest = np.r_[cKDTree(dense).query(true)[0], cKDTree(true).query(dense)[0]].mean()
-    share = np.linspace(0.0, 1.0, 400)
-    paired = []
-    for points in (dense, dense[::-1]):
-        ordered = [
-            curve[np.round(share * (len(curve) - 1)).astype(int)] for curve in (points, true)
-        ]
-        paired.append(np.hypot(*(ordered[0] - ordered[1]).T).max())
-    return nearest, min(paired)
+def nearest(line, truth):
+    """Mean nearest distance both ways."""
+    dense, true = (refine.resample(points, 0.1)[0] for points in (line.points, truth))
+    return np.r_[cKDTree(dense).query(true)[0], cKDTree(true).query(dense)[0]].mean()
+
+
+def ordered(line, truth):
+    """The largest distance between points at the same share of the length, from either end."""
+    share, curves = np.linspace(0.0, 1.0, 400), []
+    for points in (line.points, truth):
+        (dense,) = refine.resample(points, 0.1)
+        curves.append(dense[np.round(share * (len(dense) - 1)).astype(int)])
+    found, true = curves
+    return min(np.hypot(*(way - true).T).max() for way in (found, found[::-1]))
 
 
 SHAPES = {
@@ -66,9 +67,9 @@ def test_known_curves_are_found_to_a_fifth_of_a_pixel(name, radius):
     lines = wrod.trace_centerlines(draw(truth, radius))
     assert len(lines) == len(truth)
     for path in truth:
-        nearest, ordered = min((distances(line, path) for line in lines), key=lambda d: d[1])
-        assert nearest < 0.2
-        assert ordered < 3.0
+        line = min(lines, key=lambda one: ordered(one, path))
+        assert nearest(line, path) < 0.2
+        assert ordered(line, path) < 3.0
     for line in lines:
         assert line.radius == pytest.approx(radius, abs=0.3)
 
@@ -125,7 +126,7 @@ def test_near_parallel_strands(touching):
     lines = wrod.trace_centerlines(draw(truth, radius))
     assert len(lines) == 2
     for path in truth:
-        assert min(distances(line, path)[1] for line in lines) < 6.0
+        assert min(ordered(line, path) for line in lines) < 6.0
     assert len(find_crossings(lines)) == (0 if touching else 1)
 
 
@@ -145,7 +146,7 @@ def test_over_and_under_are_read_from_colours_and_from_edges():
         lines = wrod.trace_centerlines(picture)
         (crossing,) = find_crossings(lines, picture)
         top = lines[crossing.strands[crossing.over]]
-        assert distances(top, over)[1] < 3.0
+        assert ordered(top, over) < 3.0
 
 
 def test_bending_energy_of_an_arc():
@@ -214,4 +215,4 @@ def test_grey_float_and_16_bit_pictures_agree():
     grey = cv2.GaussianBlur(grey, (0, 0), 1.0)
     for picture in (grey, np.dstack([grey] * 3), grey / 255.0, grey.astype(np.uint16) * 257):
         (line,) = wrod.trace_centerlines(picture)
-        assert distances(line, truth)[0] < 0.2
+        assert nearest(line, truth) < 0.2

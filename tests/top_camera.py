@@ -132,7 +132,8 @@ class TopCamera:
         picture = cv2.resize(canvas, self.size, interpolation=cv2.INTER_AREA)
         picture = cv2.GaussianBlur(picture, (0, 0), 0.6)
         if noise > 0:
-            grain = np.random.default_rng(seed).normal(0.0, noise, picture.shape)
+            grain = np.random.default_rng(seed).standard_normal(picture.shape, np.float32)
+            grain *= noise
             grain += picture
             np.rint(grain, out=grain)
             picture = np.clip(grain, 0.0, 255.0, out=grain).astype(np.uint8)

@@ -61,16 +61,23 @@ def finite_mean(values: ArrayLike) -> float:
 
 def _draw(line: Centerline, shape: tuple[int, int]) -> np.ndarray:
     """All pixels whose centre is within the radius of the path."""
-    low = np.floor(line.points.min(0) - line.radius).astype(int).clip(0)
+    low = np.floor(line.points.min(0) - line.radius).astype(int)
     high = np.ceil(line.points.max(0) + line.radius).astype(int) + 1
-    high = np.minimum(high, shape[::-1])
-    x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
     (dense,) = refine.resample(line.points, 0.25)
+    # From the nearest pixel that the path passes a distance is wrong by half a diagonal at most.
+    off = np.ones(high[::-1] - low[::-1], bool)
+    off[tuple((np.rint(dense).astype(int) - low).T[::-1])] = False
+    rough = distance_transform_edt(off)
+    inside = rough <= line.radius - 1.0
+    y, x = np.nonzero(~inside & (rough <= line.radius + 1.0))
     distance, _ = cKDTree(dense).query(
-        np.column_stack([x.ravel(), y.ravel()]), distance_upper_bound=line.radius + 1e-9
+        np.column_stack([x, y]) + low, distance_upper_bound=line.radius + 1e-9
     )
+    inside[y, x] = distance <= line.radius
     out = np.zeros(shape, bool)
-    out[low[1] : high[1], low[0] : high[0]] = (distance <= line.radius).reshape(x.shape)
+    first, last = low.clip(0), np.minimum(high, shape[::-1])
+    (left, top), (right, bottom) = first - low, last - low
+    out[first[1] : last[1], first[0] : last[0]] = inside[top:bottom, left:right]
     return out
 
 
