@@ -218,7 +218,7 @@ def broken_rows(valid: list[str], draw: random.Random) -> tuple[str, str]:
     return what, "\n".join(lines)
 
 
-def _write_bomb(path, array, count: int) -> None:
+def write_bomb(path, array, count: int):
     """An .npz of so many arrays alike, packed once."""
     buffer = io.BytesIO()
     np.save(buffer, array)
@@ -235,6 +235,7 @@ def _write_bomb(path, array, count: int) -> None:
             file.NameToInfo[one.filename] = one
             file.start_dir = file.fp.tell()
         file._didModify = True
+    return path
 
 
 def foreign_files(folder) -> dict:
@@ -268,7 +269,7 @@ def foreign_files(folder) -> dict:
         found[name].write_bytes(content)
     bomb = folder / "bomb.npz"
     if not bomb.exists():
-        _write_bomb(bomb, np.zeros(2**23), 12)
+        write_bomb(bomb, np.zeros(2**23), 12)
     found["bomb"] = bomb
     hole = folder / "hole"
     with open(hole, "wb") as file:

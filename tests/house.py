@@ -31,6 +31,7 @@ BEFORE = "21906267"  # the last commit without rooms
 class House:
     """The files of a checkout by their modules, and what each imports of the others."""
 
+    trees: dict[str, ast.Module]
     lines: dict[str, int]
     imports: dict[str, set[str]]
     long: list[tuple[str, int]]
@@ -55,8 +56,8 @@ def room(module: str) -> str:
 
 def read(folder: Path) -> House:
     """The house in a checkout."""
-    trees = {}
-    house = House({}, {}, [], [])
+    trees: dict[str, ast.Module] = {}
+    house = House(trees, {}, {}, [], [])
     for name, package in FOLDERS.items():
         for file in sorted((folder / name).rglob("*.py")):
             parts = [package, *file.relative_to(folder / name).with_suffix("").parts]
@@ -65,8 +66,8 @@ def read(folder: Path) -> House:
             if name in COUNTED:
                 house.lines[module] = text.count("\n")
             if module != "wrod":  # the face hands on names of everybody
-                trees[module] = (ast.parse(text), file.name == "__init__.py")
-    for module, (tree, _) in trees.items():
+                trees[module] = ast.parse(text)
+    for module, tree in trees.items():
         house.lines.setdefault(module, 0)
         house.imports[module] = {o for o in _imported(tree, trees) if o != module}
         _measure(module, tree, house)

@@ -23,6 +23,7 @@ from wrod.perception.sheet import PAPERS, MarkerSheet
 _DOTS = 8000.0  # [px/m] of the paper before it is photographed
 _SIZE = (1280, 960)  # [px] of the photograph
 _POINTS = 4000  # of a curve
+SHEET = MarkerSheet(PAPERS["a4"])
 
 
 @dataclass(frozen=True)
@@ -122,16 +123,15 @@ CASES = {
 def _smooth(rng, shape, scale: float) -> np.ndarray:
     """Noise of unit size that varies over `scale` pixels."""
     small = rng.standard_normal([max(4, int(np.ceil(n / scale)) + 3) for n in shape])
+    small = small.astype(np.float32)
     return cv2.resize(small, shape[::-1], interpolation=cv2.INTER_CUBIC)
 
 
 def _drawn(case: Case, sheet: MarkerSheet, rng) -> np.ndarray:
-    """(H, W, 3) the sheet as it lies, white 1."""
+    """(H, W, 3) the sheet as it lies, white 1; (H, W, 1) where nothing on it has a colour."""
     width, height = (round(n * _DOTS) for n in sheet.size)
-    paper = np.full((height, width, 3), 0.93)
-    paper += (0.010 * _smooth(rng, (height, width), 3) + 0.012 * _smooth(rng, (height, width), 90))[
-        ..., None
-    ]
+    paper = 0.010 * _smooth(rng, (height, width), 3) + 0.012 * _smooth(rng, (height, width), 90)
+    paper = np.repeat(0.93 + paper[..., None], 3 if case.squared else 1, axis=2)
     if case.squared:
         for k in range(1, 60):
             at = round(k * 5e-3 * _DOTS)
@@ -153,23 +153,23 @@ def _drawn(case: Case, sheet: MarkerSheet, rng) -> np.ndarray:
     lifted = np.zeros(count, bool)
     for share, gap in case.gaps:
         lifted |= np.abs(at - share * length[-1]) < gap / 2
-    ink = np.ones((height, width))
+    ink = np.ones((height, width), np.float32)
     for (x, y), press, up in zip(pixels, force, lifted, strict=True):
         if up:
             continue
         radius = _DOTS * (case.width[0] + press * (case.width[1] - case.width[0])) / 2
-        grey = case.ink[0] + press * (case.ink[1] - case.ink[0])
+        grey = float(case.ink[0] + press * (case.ink[1] - case.ink[0]))
         cv2.circle(
             ink, (round(16 * x), round(16 * y)), round(16 * radius), grey, -1, cv2.LINE_AA, 4
         )
     return np.clip(paper, 0.0, 1.0) * np.minimum(ink, 1.0)[..., None]
 
 
-def photograph(name: str) -> tuple[np.ndarray, MarkerSheet]:
-    """(960, 1280, 3) uint8 RGB of a case as JPEG leaves it, and the sheet that it is drawn on."""
-    case, sheet = CASES[name], MarkerSheet(PAPERS["a4"])
+def photograph(name: str) -> np.ndarray:
+    """(960, 1280, 3) uint8 RGB of a case on `SHEET` as JPEG leaves it."""
+    case = CASES[name]
     rng = np.random.default_rng(zlib.crc32(name.encode()))
-    paper = _drawn(case, sheet, rng)
+    paper = _drawn(case, SHEET, rng)
     height, width = paper.shape[:2]
     w, h = _SIZE
     corners = np.array([(0.08, 0.1), (0.92, 0.1), (0.92, 0.9), (0.08, 0.9)]) * _SIZE
@@ -178,20 +178,24 @@ def photograph(name: str) -> tuple[np.ndarray, MarkerSheet]:
     to_picture = cv2.getPerspectiveTransform(source, corners.astype(np.float32))
     # Shrunk by more than half: average first, as a lens does.
     paper = cv2.GaussianBlur(paper, (0, 0), 0.45 * width / (0.84 * w))
-    desk = np.array([0.42, 0.33, 0.25]) * (1 + 0.1 * _smooth(rng, (h, w), 25))[..., None]
-    there = cv2.warpPerspective(np.ones((height, width)), to_picture, _SIZE)[..., None]
-    picture = cv2.warpPerspective(paper, to_picture, _SIZE) + (1 - there) * desk
-    y, x = np.mgrid[0:h, 0:w] / max(w, h)
+    desk = (
+        np.array([0.42, 0.33, 0.25], np.float32) * (1 + 0.1 * _smooth(rng, (h, w), 25))[..., None]
+    )
+    there = cv2.warpPerspective(np.ones((height, width), np.float32), to_picture, _SIZE)[..., None]
+    seen = cv2.warpPerspective(paper, to_picture, _SIZE).reshape(h, w, -1)
+    picture = seen + (1 - there) * desk
+    y, x = np.mgrid[0:h, 0:w].astype(np.float32) / max(w, h)
     angle = rng.uniform(0, 2 * np.pi)
     light = 0.95 - 0.3 * np.abs(np.cos(angle) * (x - 0.4) + np.sin(angle) * (y - 0.3))
     if case.shadow:
         edge = np.cos(angle + 1) * (x - 0.5) + np.sin(angle + 1) * (y - 0.375) - 0.03
         light = light * (1 - case.shadow / (1 + np.exp(-np.clip(edge / 0.006, -50, 50))))
-    picture = cv2.GaussianBlur(picture * light[..., None] * [1.0, 0.97, 0.9], (0, 0), 0.8)
-    picture += rng.normal(0.0, 0.012, picture.shape)
+    tinted = light[..., None] * np.array([1.0, 0.97, 0.9], np.float32)
+    picture = cv2.GaussianBlur(picture * tinted, (0, 0), 0.8)
+    picture += np.float32(0.012) * rng.standard_normal(picture.shape, np.float32)
     image = (255 * np.clip(picture, 0, 1)).astype(np.uint8)
     _, packed = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
-    return cv2.imdecode(packed, cv2.IMREAD_COLOR)[..., ::-1], sheet
+    return cv2.imdecode(packed, cv2.IMREAD_COLOR)[..., ::-1]
 
 
 def write(folder) -> None:
@@ -199,9 +203,8 @@ def write(folder) -> None:
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for name in CASES:
-        image, sheet = photograph(name)
-        cv2.imwrite(str(folder / f"{name}.png"), image[..., ::-1])
-    sheet.save(folder)
+        cv2.imwrite(str(folder / f"{name}.png"), photograph(name)[..., ::-1])
+    SHEET.save(folder)
 
 
 if __name__ == "__main__":

@@ -34,10 +34,10 @@ def test_functions_are_short_outside_kernels(seen):
     assert len(seen.wide) <= WIDE, seen.wide
 
 
-def of_file(path):
+def of_file(tree):
     """Names that a file defines or imports at its top."""
     names = set()
-    for node in ast.parse(path.read_text()).body:
+    for node in tree.body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             names.add(node.name)
         elif isinstance(node, (ast.Import, ast.ImportFrom)):
@@ -47,31 +47,29 @@ def of_file(path):
     return names
 
 
-def test_what_is_taken_from_kernels_is_there():
+def test_what_is_taken_from_kernels_is_there(seen):
     """mypy looks into no kernels: a name that is gone would be found by who launches it."""
-    kernels = {
-        ".".join(["wrod", *file.relative_to(ROOT).with_suffix("").parts]): of_file(file)
-        for file in (ROOT / "kernels").rglob("*.py")
-    }
+    kernels = {m: of_file(tree) for m, tree in seen.trees.items() if m.startswith(house.KERNELS)}
     looked_at, gone = 0, []
-    for folder in ("wrod", "training", "kernels"):
-        for file in (ROOT / folder).rglob("*.py"):
-            nodes = list(ast.walk(ast.parse(file.read_text())))
-            own = {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
-            own |= {n.arg for n in nodes if isinstance(n, ast.arg)}
-            taken, modules = [], {}
-            for node in nodes:
-                if isinstance(node, ast.ImportFrom) and node.module:
-                    for one in node.names:
-                        taken.append((node.module, one.name))
-                        modules[one.asname or one.name] = f"{node.module}.{one.name}"
-            for node in nodes:
-                of = node.value if isinstance(node, ast.Attribute) else None
-                if isinstance(of, ast.Name) and of.id not in own:
-                    taken.append((modules.get(of.id), node.attr))
-            taken = [(module, name) for module, name in taken if module in kernels]
-            looked_at += len(taken)
-            gone += [(file.name, *one) for one in taken if one[1] not in kernels[one[0]]]
+    for file, tree in seen.trees.items():
+        if not any(other in kernels for other in seen.imports[file]):
+            continue
+        nodes = list(ast.walk(tree))
+        own = {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+        own |= {n.arg for n in nodes if isinstance(n, ast.arg)}
+        taken, modules = [], {}
+        for node in nodes:
+            if isinstance(node, ast.ImportFrom) and node.module:
+                for one in node.names:
+                    taken.append((node.module, one.name))
+                    modules[one.asname or one.name] = f"{node.module}.{one.name}"
+        for node in nodes:
+            of = node.value if isinstance(node, ast.Attribute) else None
+            if isinstance(of, ast.Name) and of.id not in own:
+                taken.append((modules.get(of.id), node.attr))
+        taken = [one for one in taken if one[0] in kernels and ".".join(one) not in kernels]
+        looked_at += len(taken)
+        gone += [(file, *one) for one in taken if one[1] not in kernels[one[0]]]
     assert looked_at > 500 and not gone
 
 

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 import wrod
-from tests.pen_drawings import CASES, photograph
+from tests.pen_drawings import CASES, SHEET, photograph
 from wrod.perception.gaps import join_gaps
 from wrod.perception.trace import Centerline
 
@@ -11,12 +11,18 @@ MM = 1e-3
 _SHARP = {"corners"}  # rounded by what sees them: the tip is cut by millimetres
 
 
+@pytest.fixture(scope="module")
+def layout(tmp_path_factory):
+    """Of the sheet that all are drawn on, as its files have it."""
+    folder = tmp_path_factory.mktemp("sheet")
+    SHEET.save(folder)
+    return folder / "layout.json"
+
+
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.filterwarnings("ignore:.*the stroke is broken")
-def test_photograph_of_a_drawing_gives_the_drawn_curve(name, tmp_path):
-    image, sheet = photograph(name)
-    sheet.save(tmp_path)
-    pattern = wrod.scan(image, markers=tmp_path / "layout.json")
+def test_photograph_of_a_drawing_gives_the_drawn_curve(name, layout):
+    pattern = wrod.scan(photograph(name), markers=layout)
     found = pattern.sample(np.linspace(0.0, pattern.length, 1500))[0][:, :2]
     drawn = CASES[name].points
     apart = np.r_[cKDTree(drawn).query(found)[0], cKDTree(found).query(drawn)[0]]
