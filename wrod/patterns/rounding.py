@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline, PPoly
+from scipy.linalg import cholesky, solve_triangular
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import spsolve
@@ -130,6 +131,7 @@ def _nearest(s, points, heading, first, bound, smoothness):
     start, angle = points[0].copy(), float(heading[0])
     tangents = np.column_stack([np.cos(heading), np.sin(heading)])
     ds = u[1] - u[0]
+    turned_by = np.vstack([np.zeros(size), np.cumsum(_middle(design), axis=0) * ds])
     index = np.round(np.interp(u * length, first[:, 0], first[:, 2]) / s[1]).astype(int)
     limit, least, damping, best = limits.pop(0), np.inf, 0.0, None
     for iteration in range(_ITERATIONS):
@@ -142,7 +144,7 @@ def _nearest(s, points, heading, first, bound, smoothness):
         # Derivatives of place by coefficients, heading, length and start.
         side = np.column_stack([-ahead[:, 1], ahead[:, 0]])
         by_angle = np.vstack([[0, 0], np.cumsum(_middle(side), axis=0) * ds * length])
-        turn_by = np.vstack([np.zeros(size), np.cumsum(_middle(design), axis=0) * ds * length])
+        turn_by = length * turned_by
         jacobian = np.empty((len(u), 2, size + 4))
         for axis in range(2):
             rows = _middle(side[:, axis, None] * turn_by) * ds * length
@@ -170,9 +172,8 @@ def _nearest(s, points, heading, first, bound, smoothness):
         if cost < least:
             done = cost > (1.0 - _SAVED) * least
             best, least, damping = (coefficients, angle, length, start, index), cost, 0.2 * damping
-            # The triangle has the rows' normal equations and a tenth of their number.
-            rows = np.column_stack([np.concatenate(parts), np.concatenate(wanted)])
-            triangle = np.linalg.qr(rows, mode="r")
+            rows = np.concatenate(parts)
+            equations = rows.T @ rows, rows.T @ np.concatenate(wanted)
         else:
             done = damping > _DAMPED
             coefficients, angle, length, start, index = best
@@ -183,7 +184,7 @@ def _nearest(s, points, heading, first, bound, smoothness):
             break
         low = np.concatenate([-limit - coefficients, [-0.3, -0.1 * length, -0.1, -0.1]])
         high = np.concatenate([limit - coefficients, [0.3, 0.1 * length, 0.1, 0.1]])
-        step = _step(triangle, damping, low - 1e-12, high + 1e-12)
+        step = _step(*equations, damping, low - 1e-12, high + 1e-12)
         coefficients = (coefficients + step[:size]).clip(-limit, limit)
         angle, length = angle + step[size], length + step[size + 1]
         start = start + step[size + 2 :]
@@ -191,13 +192,15 @@ def _nearest(s, points, heading, first, bound, smoothness):
     return BSpline(full * length, coefficients.clip(-bound, bound), 3), start, angle
 
 
-def _step(triangle, damping, low, high):
-    """The step within bounds that solves the equations of a triangle best, damped by so much of
-    each unknown's own share in them."""
-    own = np.linalg.norm(triangle[:, :-1], axis=0)
-    rows = np.vstack([triangle[:, :-1], np.diag(np.sqrt(damping) * own)])
-    wanted = np.concatenate([triangle[:, -1], np.zeros(len(own))])
-    return lsq_linear(rows, wanted, (low, high), max_iter=60).x
+def _step(matrix, right, damping, low, high):
+    """The step within bounds that solves normal equations best, damped by so much of each
+    unknown's own share in them."""
+    triangle = cholesky(matrix + np.diag(damping * np.diag(matrix)))
+    wanted = solve_triangular(triangle, right, trans="T")
+    free = solve_triangular(triangle, wanted)
+    if ((low <= free) & (free <= high)).all():
+        return free
+    return lsq_linear(triangle, wanted, (low, high), max_iter=60).x
 
 
 def _resolved(first, even, width, full):
