@@ -151,6 +151,9 @@ def _npy(header: str, body: bytes = b"", version: int = 1) -> bytes:
     return b"\x93NUMPY" + bytes([version, 0]) + size + text + body
 
 
+_QUICKLY = {"compression": zipfile.ZIP_DEFLATED, "compresslevel": 1}
+
+
 def _zip(members: dict[str, bytes], **options) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", **options) as file:
@@ -184,7 +187,7 @@ def _arrays() -> dict[str, bytes]:
         "members": _zip({f"{k}.npy": b"" for k in range(5000)}),
         "outside": _zip({"../../../points.npy": _npy(shape % "(2,)", bytes(16))}),
         "nested": _zip({"points.npy": valid}),
-        "zip_bomb": _zip({"points.npy": bytes(2**27)}, compression=zipfile.ZIP_DEFLATED),
+        "zip_bomb": _zip({"points.npy": bytes(2**27)}, **_QUICKLY),
         "lzma": _zip({"points.npy": bytes(2**20)}, compression=zipfile.ZIP_LZMA),
         "no_arrays": _zip({}), "other_members": _zip({"readme.txt": b"hello"}),
         "empty_member": _zip({"points.npy": b""}),
@@ -614,7 +617,7 @@ def _usd() -> dict[str, bytes]:
         "inherits": file('class "c" ( inherits = </World/c> ) {}\n' + sphere),
         "scale": file(sphere, "").replace(b"metersPerUnit = 1", b"metersPerUnit = 0"),
         "usdc": b"PXR-USDC\0\x08\0\0" + struct.pack("<q", 2**60) + bytes(200), "usdz": _zip({"a.usda": file(sphere)}),
-        "usdz_bomb": _zip({"a.usda": b" " * 2**27}, compression=zipfile.ZIP_DEFLATED), "words": b"words",
+        "usdz_bomb": _zip({"a.usda": b" " * 2**27}, **_QUICKLY), "words": b"words",
         "version": b"#usda 99.0\n", "samples": file(
             'def Sphere "s" { double radius.timeSamples = {'
             + ",".join(f"{k}: 1" for k in range(100_000)) + "} }\n"),
@@ -654,7 +657,7 @@ def _meshes() -> dict[str, bytes]:
         "passwd.gltf": buffer("/etc/passwd", 100), "zero.gltf": buffer("/dev/zero"), "net.gltf": buffer("http://127.0.0.1:9/a"),
         "data.gltf": buffer("data:application/octet-stream;base64," + "A" * 1000), "up.gltf": buffer("../../../../../etc/passwd", 100),
         "deep.gltf": b'{"a":' * 100_000, "words.gltf": b"words", "nodes.gltf": json.dumps({**gltf, "nodes": [{"children": [0], "mesh": 0}]}).encode(),
-        "bomb.3mf": _zip({"3D/3dmodel.model": b" " * 2**27}, compression=zipfile.ZIP_DEFLATED), "empty.3mf": _zip({}), "words.3mf": b"words",
+        "bomb.3mf": _zip({"3D/3dmodel.model": b" " * 2**27}, **_QUICKLY), "empty.3mf": _zip({}), "words.3mf": b"words",
         "laughs.3mf": _zip({"3D/3dmodel.model": _xml("<model>", "", "</model>")["laughs"]}),
         **{f"{kind}.dae": text for kind, text in _xml(dae, "<library_geometries/>", "</COLLADA>").items()},
         "unit.dae": f'{dae}<asset><unit meter="1e999"/></asset></COLLADA>'.encode(),

@@ -19,7 +19,7 @@ wrod.rod("rope")
 picture = np.zeros((60, 60), bool)
 picture[20:23, 10:50] = True
 def trajectory():
-    return wrod.plan(wrod.Pattern.from_points([[0, 0], [0.3, 0]]), wrod.rod("rope"), spacing=0.02)
+    return wrod.plan(wrod.pattern("line"), wrod.rod("rope"), "intuitive", spacing=0.02)
 for call in {calls!r}:
     try:
         exec(call)
