@@ -315,11 +315,11 @@ class Laboratory:
             readings += [prediction.force[candidate], prediction.torque[candidate]]
         return np.concatenate(readings, axis=1)
 
-    def rates(self, solver, models, values, base) -> list[np.ndarray]:
-        """(t, R, P) derivatives of every candidate's readings."""
+    def rates(self, solver, models, values, base, first: int = 0) -> list[np.ndarray]:
+        """(t, R, P) derivatives of every candidate's readings, by parameters from `first` on."""
         count = max(len(v) for v in values)
         steps = []
-        for j in range(count):
+        for j in range(first, count):
             moved = [v.astype(complex) for v in values]
             for v in moved:
                 if j < len(v):
@@ -327,14 +327,15 @@ class Laboratory:
             setups = [m.setup(base, v) for m, v in zip(models, moved, strict=True)]
             steps.append((moved, setups))
         predictions = solver.predict_rates(
-            [setups for _, setups in steps], [[j < len(v) for v in values] for j in range(count)]
+            [setups for _, setups in steps],
+            [[j < len(v) for v in values] for j in range(first, count)],
         )
         return [
             np.stack(
                 [
                     np.imag(self.observed(model, moved[c], setups[c], prediction, c)) / COMPLEX_STEP
                     for (moved, setups), prediction in list(zip(steps, predictions, strict=True))[
-                        : len(values[c])
+                        : len(values[c]) - first
                     ]
                 ],
                 axis=2,

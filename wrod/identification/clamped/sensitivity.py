@@ -40,6 +40,11 @@ _SEEN_BY_YIELD = {
     "bending_stiffness": "bending",
     "natural_curvature": "natural_curvature",
 }
+# What the elastic energy of a law of bending depends on: loads, poses and cameras move none of it.
+_ELASTIC = (
+    "rest_length", "stretching_stiffness", "bending_stiffness", "twisting_stiffness",
+    "natural_curvature", "natural_twist", "softening",
+)  # fmt: skip
 # Share of these, and of the law's numbers, over which it is differenced.
 _DIFFERENCE = 1e-5
 
@@ -163,6 +168,8 @@ class Sensitivity:
         arrays, (rod, column, ...)."""
         batch, device, state = self.batch, self.device, self.batch.state
         rods, nodes, count = batch.rod_count, batch.node_count, moved["rest_length"].shape[1]
+        if not any(moved[name].any() for name in _ELASTIC):
+            return np.zeros((rods, count, batch.dof_count))
 
         def zeros(dtype, *shape):
             return wp.zeros(shape, dtype=dtype, device=device)

@@ -198,22 +198,25 @@ def trace(
     for name, title, unit, points_to, probe, components in plans:
         scale = np.array([p.scale for p in probe.parameters])
         together = Model((*beside.effects, *probe.effects))
-        _, rates = laboratory.jacobian(together, np.append(values, np.zeros(len(scale))))
-        rates = rates[trials][..., len(values) :] * scale
+        at = np.append(values, np.zeros(len(scale)))
+        (rates,) = laboratory.rates(solver, [together], [at], laboratory.base, len(values))
+        rates = rates[trials] * scale
         jacobian = free(rates)
         profile = isinstance(probe.effects[0], ProbedProfile)
         prior = smooth_prior(len(components)) if profile else np.eye(len(scale))
         evidence, _, share, value, stderr = infer(jacobian, residual, prior)
         drift = _drift(trials, jacobian @ value, residual)
         change, _, _, by, _ = infer(free(rates * _order(trials)[:, None, None]), residual, prior)
-        anew = infer(free(_apart(rates)), residual, np.kron(np.eye(len(trials)), prior))[0]
+        anew = 0.0
+        if profile:
+            anew = infer(free(_apart(rates)), residual, np.kron(np.eye(len(trials)), prior))[0]
         value, stderr, by = value * scale, stderr * scale, by * scale
         arc_length = None
         if profile:
             arc_length = np.linspace(0.0, m.material.length, KNOTS)
             value, stderr, by = (a.reshape(KNOTS, -1) for a in (value, stderr, by))
         said = (name, title, unit, points_to, evidence, share, arc_length, components)
-        prints.append(Print(*said, value, stderr, drift, change, by, anew * profile))
+        prints.append(Print(*said, value, stderr, drift, change, by, anew))
     return sorted(prints, key=lambda p: -p.evidence)
 
 
