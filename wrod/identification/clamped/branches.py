@@ -19,7 +19,8 @@ _NEAR = 0.05
 # A rod is far from its measured shape at so many times what noise leaves, and where there are
 # some, so many times the distance that a quarter of them are within.
 _FAR, _FARTHER, _SOME = 2.0, 1.5, 8
-# How far the middle of a rod is rolled to find one whose section lies another way [rad].
+# How far the middle of a rod is rolled to find one whose section lies another way [rad]. A round
+# rod that is straight at rest has no other way: its twist evens out at once.
 _ROLL = 0.5 * np.pi
 # Whole turns beyond the least twist, in its sense, with how its middle is rolled; and what rods
 # that still stand far are tried with: a robot's last joint turns by two either way.
@@ -99,9 +100,12 @@ def to_measured(
         least = max(least, _FARTHER * np.quantile(led.away, 0.25))
     asked = led.away > (0.0 if every else least)
     state, off, put = led.state, led.away.copy(), False
+    alike = all(map(_is_round, setups))
     for tries in (_LEAST, _MORE):
         share = _CLEARLY if clearly or tries is _MORE else 1.0
         for turns, roll in tries if asked.any() else ():
+            if roll and alike:
+                continue
             solver.shape_to(setups, shape, turns=turns, roll=roll)
             solver.restore(led.state, ~asked)  # at rest, they cost nothing
             tried = _Tried(solver, solver.relax(setups), shape, "measured")
@@ -109,12 +113,19 @@ def to_measured(
             nearer = (
                 asked & _stands_near(tried, setups) & (tried.away**2 + same**2 < (share * off) ** 2)
             )
-            solver.restore(state)
-            solver.restore(tried.state, nearer)
-            state, off = solver.saved(), np.where(nearer, tried.away, off)
-            put |= bool(nearer.any())
+            if nearer.any():
+                solver.restore(state)
+                solver.restore(tried.state, nearer)
+                state, off, put = solver.saved(), np.where(nearer, tried.away, off), True
         asked &= off > least
+    solver.restore(state)
     return put
+
+
+def _is_round(setup) -> bool:
+    """Whether a rod resists bends in every direction alike, and none more than its opposite."""
+    uneven = setup.bending[..., 0] != setup.bending[..., 1]
+    return not any(map(np.any, (uneven, setup.natural_curvature, setup.coupling)))
 
 
 def settle(
