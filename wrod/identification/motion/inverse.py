@@ -28,7 +28,7 @@ from wrod.identification.motion.windows import Windows
 from wrod.kernels.stepping import motion_tangents, observed_tangents
 from wrod.rods.batch import RodBatch
 from wrod.rods.rotation import angle_about, node_frames, transport, unit
-from wrod.rods.state import full_hessian
+from wrod.solvers.banded import BandedSystem, multiply_banded
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 from wrod.solvers.steps import unit_pace
 
@@ -207,6 +207,7 @@ class _Condensation:
         self.markers = (4 * place[:, None] + np.arange(3)).ravel()
         self.free = (4 * place[2:-2, None] + np.arange(3)).ravel()
         self.inner = np.flatnonzero(batch.free.numpy()[0])
+        self.system = BandedSystem(batch, right_hand_sides=len(self.free))
         self.mass = np.real(setup.arrays()["mass"])
         self.lengths = batch.rest_length.numpy().copy()
         self.spans = np.repeat(np.arange(len(place) - 3), np.diff(place[1:-1]))
@@ -224,14 +225,12 @@ class _Condensation:
         found = EquilibriumSolver(self.batch).solve(tolerance=_TOLERANCE)
         out = self.batch.evaluate(order=2)
         gradient = out.gradient.numpy()
-        hessian = full_hessian(out.hessian.numpy())
-        i, f = self.inner, self.free
-        carried = np.linalg.solve(hessian[:, i][:, :, i], hessian[:, i][:, :, f])
-        self.see = np.zeros((len(gradient), len(f), hessian.shape[1]))
-        self.see[:, np.arange(len(f)), f] = 1.0
-        self.see[:, :, i] = -carried.transpose(0, 2, 1)
-        self.felt = self.see @ hessian
-        self.felt[:, :, i] = 0.0
+        self.system.factorise(out.hessian, self.batch.every_rod)
+        moved = np.zeros(self.system.x.shape)
+        moved[:, np.arange(len(self.free)), self.free] = 1.0
+        self.see = self._carried(moved)
+        self.felt = self._times_hessian(self.see).numpy()
+        self.felt[:, :, self.inner] = 0.0
         self.reaction = np.einsum("sfd,sd->sf", self.see, gradient)
         t = unit(np.diff(self.batch.positions(), axis=1))
         pull = np.zeros((*gradient.shape, self.tension.shape[1]))
@@ -247,6 +246,20 @@ class _Condensation:
         jerk = noise * np.linalg.norm(self.path.weights[2]) * (self.see @ inertia)
         self.noise = scatter @ scatter.transpose(0, 2, 1) + jerk @ jerk.transpose(0, 2, 1)
         return found.converged
+
+    def _times_hessian(self, vectors: np.ndarray) -> wp.array:
+        """Products of the Hessian with (S, column, D) vectors."""
+        b, given = self.batch, self.batch.array(vectors)
+        product = wp.zeros_like(given)
+        multiply_banded(b, b.every_rod, b.derivatives.hessian, given, product)
+        return product
+
+    def _carried(self, moved: np.ndarray) -> np.ndarray:
+        """(S, column, D) how all moves as the markers move so, and what is between follows; the
+        Hessian is factorised."""
+        following = self._times_hessian(moved)
+        self.system.solve_in(following, self.batch.every_rod)
+        return moved - following.numpy()
 
     def relax(self) -> None:
         """The likeliest tensions, where a missing force of some of the weight is expected."""
@@ -287,20 +300,17 @@ class _Condensation:
     def _strain_rate(self) -> wp.array:
         """(S, n) rates of the strains: markers by their velocities, what is between follows."""
         b = self.batch
-        hessian = full_hessian(b.derivatives.hessian.numpy())
-        rate = np.zeros((b.rod_count, b.dof_count))
-        rate[:, node_columns(b.node_count)] = self.path.velocity.reshape(b.rod_count, -1)
-        i = self.inner
-        rate[:, i] = 0.0
-        push = np.einsum("sid,sd->si", hessian[:, i], rate)
-        rate[:, i] = -np.linalg.solve(hessian[:, i][:, :, i], push[..., None])[..., 0]
+        rate = np.zeros((b.rod_count, 1, b.dof_count))
+        rate[:, 0, node_columns(b.node_count)] = self.path.velocity.reshape(b.rod_count, -1)
+        rate[:, :, self.inner] = 0.0
+        rate = self._carried(rate)
         out = wp.zeros((b.rod_count, 1, b.node_count), dtype=wp.vec4d, device=b.device)
         s = b.state
         b.launch(
             observed_tangents.measure_strain_tangents,
             (b.rod_count, b.node_count - 1, 1),
             [b.every_rod, s.dof, s.director]
-            + [wp.array(rate[:, None], dtype=wp.float64, device=b.device), 1],
+            + [b.array(rate), 1],
             [out],
         )
         return out.reshape((b.rod_count, b.node_count))
