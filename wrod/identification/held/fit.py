@@ -83,10 +83,10 @@ def fit_held(
     def predict(many):
         return _predict(sets, names, many, device)
 
-    values = _start(sets, names, predict, measured, use)
+    values, here = _start(sets, names, predict, measured, use)
     damping = 1e-3
     for _ in range(_ITERATIONS):
-        here, *there = predict([values, *(values + np.diag(step))])
+        there = predict(values + np.diag(step))
         rates = np.stack([(t - here) / h for t, h in zip(there, step, strict=True)], axis=-1)
         kept = use & ~_snapped(measured - here)
         # Where a small change makes the cable snap there is no derivative.
@@ -99,7 +99,8 @@ def fit_held(
             add = damping * np.diag(np.diag(square) + 1e-12)
             move = np.linalg.solve(square + add, matrix.T @ off)
             trial = np.clip(values + np.clip(move, -10.0 * step, 10.0 * step), *bounds)
-            left = _cost(measured - predict([trial])[0], use)
+            (seen,) = predict([trial])
+            left = _cost(measured - seen, use)
             better = left < _cost(measured - here, use)
             damping = damping / 5.0 if better else damping * 8.0
             if better:
@@ -107,10 +108,10 @@ def fit_held(
         if not better:
             break
         gained = 1.0 - left / _cost(measured - here, use)
-        values = trial
+        values, here = trial, seen
         if gained < _ENOUGH:
             break
-    residual = measured - predict([values])[0]
+    residual = measured - here
     freedom = max(matrix.shape[0] - len(names), 1)
     noise = float(np.sqrt((off**2).sum() / freedom))
     covariance = noise**2 * np.linalg.pinv(square)
@@ -142,7 +143,8 @@ def _predict(sets, names, many, device) -> np.ndarray:
 
 
 def _start(sets, names, predict, measured, use):
-    """The best of a few stiffnesses and curvatures, as cables lie on other branches far off."""
+    """The best of a few stiffnesses and curvatures, as cables lie on other branches far off, and
+    what it predicts."""
     weight = max((one.cable_mass + one.tip_mass) * one.gravity * one.length**2 for one in sets)
     tries = []
     for stiffness in np.log(weight / np.geomspace(3.0, 30.0, 7)):
@@ -150,7 +152,8 @@ def _start(sets, names, predict, measured, use):
             first = {"stiffness": stiffness, "curvature": bend, "friction": 0.5, "kept": -1.0}
             tries.append(np.array([first.get(name.split()[0], 0.0) for name in names]))
     predicted = predict(tries)
-    return tries[int(np.argmin([_cost(measured - p, use) for p in predicted]))]
+    best = int(np.argmin([_cost(measured - p, use) for p in predicted]))
+    return tries[best], predicted[best]
 
 
 def _snapped(residual: np.ndarray) -> np.ndarray:
