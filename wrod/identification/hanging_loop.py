@@ -24,6 +24,7 @@ _DEGREE = 9  # of the curve from which equilibria are first sought
 # Of the loop's size: first guesses of L_gb.
 _GUESSES = (0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7)
 _STRETCH_RATIO = 1e4
+_PLANE = np.array([1.0, 1.0j])  # to points as complex numbers
 _STEPS = np.array([1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-3])  # of the differences
 
 
@@ -159,17 +160,16 @@ class _Fit:
     def distance(self, line: np.ndarray) -> np.ndarray:
         """(n,) signed distance of the points from a curve (m, 2), positive on its left [m]."""
         fine = CubicSpline(np.linspace(0.0, 1.0, len(line)), line)(np.linspace(0.0, 1.0, 241))
-        step = np.diff(fine, axis=0)
-        offset = self.points[:, None] - fine[None, :-1]
-        share = (offset * step).sum(-1) / (step**2).sum(-1)
+        fine, points = fine @ _PLANE, self.points @ _PLANE
+        step = np.diff(fine)
+        offset = points[:, None] - fine[:-1]
+        share = (offset / step).real
         # The end pieces go on straight: points beyond them count for their distance aside.
-        low = np.where(np.arange(len(step)) == 0, -1e9, 0.0)
-        high = np.where(np.arange(len(step)) == len(step) - 1, 1e9, 1.0)
-        away = offset - np.clip(share, low, high)[..., None] * step
-        near = (away**2).sum(-1).argmin(1)
-        rows = np.arange(len(near))
-        along = step[near] / np.linalg.norm(step[near], axis=1, keepdims=True)
-        return along[:, 0] * away[rows, near, 1] - along[:, 1] * away[rows, near, 0]
+        np.maximum(share[:, 1:], 0.0, out=share[:, 1:])
+        np.minimum(share[:, :-1], 1.0, out=share[:, :-1])
+        away = offset - share * step
+        near = (away.real**2 + away.imag**2).argmin(1)
+        return (away[np.arange(len(near)), near] * np.abs(step[near]) / step[near]).imag
 
     def equilibria(self, rows: np.ndarray):
         """(k, nodes, 2) of hanging rods [m], or None where one is not found."""
