@@ -3,6 +3,7 @@
 import gc
 import os
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,17 @@ def pytest_testnodedown(node):
 def pytest_unconfigure():
     """Nor is it looked through when the process ends."""
     gc.freeze()
+
+
+@pytest.fixture
+def on_coarse_meshes(monkeypatch):
+    """Rods between clamps are identified on half of the edges, in half of the time."""
+    from hidden import COARSE
+
+    from wrod.identification.clamped.laboratory import Laboratory
+
+    place = "wrod.identification.clamped.report.Laboratory"
+    monkeypatch.setattr(place, partial(Laboratory, edge_count=COARSE))
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hidden import COARSE, coarse
 from hidden import kept as hidden
 
 from wrod.identification.clamped.acceptance import (
@@ -16,7 +17,6 @@ from wrod.identification.clamped.acceptance import (
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.fit import fit_models
 from wrod.identification.clamped.held_out import HeldOut, held_out_error
-from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.moment_law import moment_law_of
 from wrod.identification.clamped.refinement import evidence_of_form, in_doubt, refined
@@ -37,10 +37,10 @@ def small():
     data = dict(hidden("natural_curvature", 303)[0])
     del data["grip_force"], data["grip_torque"]
     m = measurements_from_arrays(data)
-    setup = PAIR.setup(ClampedSetup.base(m, np.arange(m.trial_count), 180), TRUE)
+    setup = PAIR.setup(ClampedSetup.base(m, np.arange(m.trial_count), 2 * COARSE), TRUE)
     seen = np.real(ClampedSolver([setup]).predict([setup]).position[0])
     data["centerline"] = seen + m.noise * np.random.default_rng(6).normal(size=seen.shape)
-    laboratory = Laboratory(measurements_from_arrays(data), edge_count=80)
+    laboratory = coarse(data)
     one = fit_models(laboratory, [Model(PAIR.effects[:1])], [TRUE[:2]])[0]
     both = fit_models(laboratory, [PAIR], [np.r_[one.values, 0.0]], origin=one)[0]
     return laboratory, one, both
@@ -115,7 +115,7 @@ def test_what_mends_the_form_of_a_named_effect_is_not_named():
     """A stiffness that changes along the rod by a parabola leaves beside a constant what seems to
     be an effect of its own, and is seen as its own form."""
     data, _ = hidden("stiffness, quadratic", 501, "correlated-0.7")
-    laboratory = Laboratory(measurements_from_arrays(data), edge_count=80)
+    laboratory = coarse(data)
     empty, known = base_fit(laboratory), effects()
     alone = extensions(laboratory, empty, [known["stiffness"]])[0]
     others = ("point_mass", "grip_slip", "clamp_rotation", "natural_curvature", "camera_scale")
@@ -132,7 +132,7 @@ def test_what_mends_a_law_of_bending_is_not_named():
     """A rod that keeps its stiffness to a curvature and loses it beyond (a yield) leaves beside the
     nearest softening what seems to be a stiffness of its own."""
     data, _ = hidden("none 1", 101, "pose")
-    laboratory, known = Laboratory(measurements_from_arrays(data), edge_count=80), effects()
+    laboratory, known = coarse(data), effects()
     law = moment_law_of(laboratory)
     curvature = np.linspace(0.05, 1.0, 80) * law.curvatures[-1]
     kept_share = np.minimum(1.0, 0.3 + 0.7 * 0.35 * law.curvatures[-1] / curvature)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cli import refused
 from click.testing import CliRunner
-from hidden import SETS, draw, kept
+from hidden import COARSE, SETS, coarse, draw, kept
 
 from wrod.bench.continuous_rod import excess_of
 from wrod.bench.hidden_effects import MAGNET_REACH
@@ -127,7 +127,7 @@ def test_the_bound_of_a_magnet_is_what_linear_estimates_scatter_by():
     pull = {("strength",): (0.1,), ("x", "y", "z"): (0.4, 0.0, 0.2)}
     place, size = limit_of(m, {"attraction": pull})
     values = np.array([*pull[("strength",)], *pull[("x", "y", "z")], np.log(MAGNET_REACH)])
-    laboratory, rng = Laboratory(m), np.random.default_rng(3)
+    laboratory, rng = Laboratory(m, edge_count=COARSE), np.random.default_rng(3)
     _, rates = laboratory.jacobian(Model((Attraction([values]),)), values)
     deviation = laboratory.deviation[m.train]
     rates = (rates[m.train] / deviation[..., None]).reshape(-1, len(values))
@@ -183,7 +183,7 @@ TRUE = {
 def test_the_plug_in_at_the_true_values_leaves_noise(name):
     known = (name, 11, "white")
     data, truth = kept(*known) if known in SETS else draw(*known)
-    laboratory = Laboratory(measurements_from_arrays(data))
+    laboratory = coarse(data)
     assert len(data["centerline"]) == TRIALS
     ((effect, true),) = truth.items()
     model = Model((effects()[effect],))

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hidden import coarse
 from test_identification import synthetic
 
 from wrod.bench.hidden_sets import BUILT, hidden_set
@@ -41,10 +42,13 @@ def test_derivatives_are_exact(laboratory, name):
     make, values = PROBES[name]
     model, values = Model((make([]),)), np.array(values)
     _, rates = laboratory.jacobian(model, values)
+    here = laboratory.solver_at(model, values)[0].saved()
     for j in range(len(values)):
         step = np.zeros(len(values))
         step[j] = h = 1e-3 * max(abs(values[j]), 0.02)
-        ahead = [laboratory.observe(model, values + k * step) for k in (1, -1, 2, -2)]
+        for moved in (ways := [values + k * step for k in (1, -1, 2, -2)]):
+            laboratory.remember(model, moved, laboratory.trials, here)  # from where they are solved
+        ahead = [laboratory.observe(model, moved) for moved in ways]
         numeric = (8 * (ahead[0] - ahead[1]) - (ahead[2] - ahead[3])) / (12 * h)
         markers = slice(0, 63)
         size = np.abs(numeric[:, markers]).max()
@@ -136,7 +140,7 @@ def test_the_scan_finds_the_kind_and_the_place():
         bump = np.exp(-0.5 * ((setup.arc_length - 0.31) / 0.01) ** 2) / (0.01 * np.sqrt(2 * np.pi))
         setup.natural_curvature = setup.natural_curvature + bump[:, None] * np.array([0.15, -0.1])
 
-    laboratory = Laboratory(measurements_from_arrays(synthetic(bend, seed=3, trials=8)))
+    laboratory = coarse(synthetic(bend, seed=3, trials=8))
     linear = _linearised(laboratory)
     found = profiles_of(linear)
     assert found[0].kind == "curvature"
@@ -165,7 +169,7 @@ def stepped(size):
         near = setup.arc_length < 0.24
         setup.natural_curvature = setup.natural_curvature + near[:, None] * curvature
 
-    laboratory = Laboratory(measurements_from_arrays(synthetic(step, seed=5, trials=8)))
+    laboratory = coarse(synthetic(step, seed=5, trials=8))
     found = next(f for f in profiles_of(_linearised(laboratory)) if f.kind == "curvature")
     smooth = ProfileEffect("curvature", found.basis)
     (smooth,) = fit_models(laboratory, [Model((smooth,))], [smooth.start])
@@ -227,6 +231,7 @@ def test_an_effect_without_a_plug_in_is_built(name):
         assert np.linalg.norm(away) < limit * (np.sqrt(len(keys)) if is_place else 1.0)
 
 
+@pytest.mark.usefixtures("on_coarse_meshes")
 def test_a_law_of_unknown_form_is_found_and_reported():
     """A rod that softens and then stiffens is neither of the two laws that have a name."""
     terms = np.array([[1.0 / 9.0, 1.2], [1.0 / 144.0, -2.0]])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hidden import kept
+from hidden import COARSE, coarse, kept
 from scipy.spatial.transform import Rotation
 
 from wrod.bench.hidden_sets import _poses, _rod
@@ -97,7 +97,7 @@ def test_a_short_planar_arch_has_its_equilibrium():
 def coiled():
     """A rod with a bend of its own, fitted as a coil; with its truth."""
     data, hidden = kept("natural_curvature", 303)
-    lab = Laboratory(measurements_from_arrays(data))
+    lab = coarse(data)
     model = Model((effects()["natural_helix"],))
     (coil,) = fit_models(lab, [model], [np.array([0.0, 0.0, -6.0])])
     return lab, coil, hidden
@@ -142,7 +142,7 @@ def test_trials_that_stand_before_a_fold_do_not_hold_a_fit_back(monkeypatch):
     leaves 55 000, but more in the others, so that the stiffness is tried first."""
     monkeypatch.setattr(steps, "_AGAIN", 1)
     data, truth = kept("natural_curvature + stiffness", 302)
-    lab, known = Laboratory(measurements_from_arrays(data)), effects()
+    lab, known = coarse(data), effects()
     curved = extensions(lab, base_fit(lab), [known["natural_curvature"]])[0]
     both = curved.model.extended(known["stiffness"])
     alone = Model((known["natural_curvature"],))
@@ -186,7 +186,7 @@ def test_a_gripper_that_was_turned_by_whole_turns_is_found(turns):
     """By the base model already, of which every other rod stays where it is."""
     data, _ = kept("none 1", 101, "pose")
     m = measurements_from_arrays(dict(data))
-    setup = ClampedSetup.base(m, np.arange(24), 90)
+    setup = ClampedSetup.base(m, np.arange(24), COARSE)
     solver, trial = ClampedSolver([setup], shape=setup.measured), 11
     twist = solver.total_twist()
     solver.shape_to([setup], setup.measured, turns=turns)
@@ -195,7 +195,7 @@ def test_a_gripper_that_was_turned_by_whole_turns_is_found(turns):
     assert abs(wound - twist[trial]) == pytest.approx(2.0 * np.pi * abs(turns), rel=0.15)
     seen = np.array(data["centerline"])
     seen[trial] = np.real(solver.predict([setup]).position[0])[trial]
-    lab = Laboratory(measurements_from_arrays(dict(data) | {"centerline": seen}))
+    lab = coarse(data | {"centerline": seen})
     there = lab.solver_at(Model(), np.zeros(0))[0].total_twist()
     assert there[trial] == pytest.approx(wound, abs=0.1)
     assert np.delete(there, trial) == pytest.approx(np.delete(twist, trial), abs=0.1)
@@ -205,7 +205,7 @@ def test_a_gripper_that_was_turned_by_whole_turns_is_found(turns):
 def test_a_camera_that_is_off_keeps_no_rod_on_a_turn_more():
     """Where all rods seem to be as far away, one that is wound stands apart by what cameras see."""
     data, off = dict(kept("none 1", 101, "pose")[0]), np.array([8e-3, -4e-3, 6e-3])
-    lab = Laboratory(measurements_from_arrays(data | {"centerline": data["centerline"] + off}))
+    lab = coarse(data | {"centerline": data["centerline"] + off})
     found, trial = (Model((effects()["camera_offset"],)), off), 11
     right = lab.predict(*found)
     lab._known.clear()
@@ -225,7 +225,7 @@ def test_a_camera_that_is_off_keeps_no_rod_on_a_turn_more():
 def test_turns_stand_for_no_effect_that_the_base_model_lacks():
     """Of several turns one comes nearer by chance: of 24 ribbons six by up to a tenth."""
     for case, seed in (("anisotropic_bending", 11), ("natural_curvature + stiffness", 302)):
-        lab = Laboratory(measurements_from_arrays(kept(case, seed)[0]))
+        lab = coarse(kept(case, seed)[0])
         twist = lab.solver_at(Model(), np.zeros(0))[0].total_twist()
         assert np.abs(twist).max() < 1.1 * np.pi
 

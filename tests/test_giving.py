@@ -19,7 +19,7 @@ PLAY = 0.06  # [rad]
 
 @pytest.fixture(scope="module")
 def laboratory():
-    return Laboratory(measurements_from_arrays(dict(kept("none 1", 101, "pose")[0])))
+    return Laboratory(measurements_from_arrays(kept("none 1", 101, "pose")[0]))
 
 
 def _turned(laboratory, name: str) -> Fit:
@@ -40,6 +40,7 @@ def test_moments_at_the_gripper_are_those_that_the_wrist_reads(laboratory):
     assert play.turn == pytest.approx(expected / size, abs=0.02)
 
 
+@pytest.mark.usefixtures("on_coarse_meshes")
 def test_a_loose_clamp_is_not_called_a_turned_one(laboratory):
     fit = _turned(laboratory, "clamp_rotation")
     model = Model((giving_for(laboratory, fit, 0)[0][0],))

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hidden import coarse
 from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -236,6 +237,7 @@ def test_wrench_balances_the_weight_of_a_hanging_rod():
     assert np.abs((force + clamp)[:, :2]).max() < 1e-6 * weight
 
 
+@pytest.mark.usefixtures("on_coarse_meshes")
 def test_no_effect_is_adequate(plain):
     report = identify(measurements_from_arrays(plain))
     assert report.verdict == "adequate"
@@ -271,6 +273,7 @@ def test_two_effects_are_found_together(tmp_path):
     assert rod.bending_stiffness == pytest.approx(1.3 * ROD.bending_stiffness, rel=0.05)
 
 
+@pytest.mark.usefixtures("on_coarse_meshes")
 def test_a_wire_that_yields_is_found_as_a_rod_that_does(tmp_path):
     def law(setup):
         setup.yielding = np.array([0.7, 6.0])
@@ -304,6 +307,7 @@ def test_of_two_laws_the_one_that_yields_counts(laboratory):
     assert np.abs(seen("softening") - alone).max() > 1e-3
 
 
+@pytest.mark.usefixtures("on_coarse_meshes")
 def test_a_part_of_another_effect_that_does_the_same_is_a_rival():
     """A twist at rest is a gripper that rolls: its two other angles do not set it apart."""
 
@@ -318,6 +322,7 @@ def test_a_part_of_another_effect_that_does_the_same_is_a_rival():
     ]
 
 
+@pytest.mark.usefixtures("on_coarse_meshes")
 def test_what_contains_the_chosen_effect_is_no_rival():
     def apply(setup):
         setup.bending, setup.twisting = 1.3 * setup.bending, 1.3 * setup.twisting
@@ -378,7 +383,7 @@ def test_prints_tell_load_material_end_and_camera_apart():
         "camera": synthetic(measure=lambda x: 1.02 * x),
     }
     for name, data in cases.items():
-        prints = trace(Laboratory(measurements_from_arrays(data)))
+        prints = trace(coarse(data))
         assert prints[0].name == name
         assert prints[0].share > 0.9
 
@@ -396,6 +401,7 @@ class Magnet(Effect):
         setup.force = setup.force + values[0] * share[:, None] * np.array([0.0, 1.0, 0.0])
 
 
+@pytest.mark.usefixtures("on_coarse_meshes")
 def test_a_users_own_effect_takes_part():
     def apply(setup):
         Magnet().apply(setup, np.array([0.02]))

@@ -25,9 +25,10 @@ def bent():
     def apply(setup):
         setup.natural_curvature = setup.natural_curvature + np.array([2.0, -3.0])
 
-    return synthetic(apply, trials=8)
+    return synthetic(apply, trials=7)
 
 
+@pytest.mark.usefixtures("on_coarse_meshes")
 def test_the_best_until_then_is_judged_and_explains_a_part_at_most(bent, monkeypatch, tmp_path):
     ended = []
 
@@ -47,6 +48,7 @@ def test_the_best_until_then_is_judged_and_explains_a_part_at_most(bent, monkeyp
     assert ">partly-explained so far<" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("on_coarse_meshes")
 def test_where_there_is_no_time_to_judge_either_the_base_model_is(bent, monkeypatch):
     """As on a busy machine, where what is left for the verdict is over before it is there."""
     monkeypatch.setattr("wrod.identification.clamped.clock._LEAST_GRACE", -1.0)

@@ -119,6 +119,7 @@ def test_predictions_are_of_second_order(bent):
     assert (fine < [1e-4, 4e-3, 1e-3, 4e-3]).all()
 
 
+@pytest.mark.usefixtures("on_coarse_meshes")
 def test_an_effect_of_our_own_invention_is_found():
     pull = Experiment(force=lambda s: np.array([[0.0], [0.02], [0.0]]) * around(s, 0.31, 0.004))
     report = identify(
