@@ -46,7 +46,7 @@ def test_edges_that_are_too_long_are_refused_before_the_work(tmp_path, monkeypat
     ids="+".join,
 )
 def test_loop_is_closed(tmp_path, controllers):
-    args = ["bench", "loop", "--out", str(tmp_path), "--json", "--trials", "8"]
+    args = ["bench", "loop", "--out", str(tmp_path), "--json", "--trials", "6"]
     args += ["--pattern", "letter-U", "--effect", "natural_curvature", "--curvature", "5"]
     args += ["--candidate", "natural_curvature", "--candidate", "stiffness"]
     args += ["--spacing", "0.02", "--speed", "0.05", "--friction", "1.0"]

@@ -152,7 +152,7 @@ def pulled_scenes(scale):
 
 
 def test_scenes_are_pulled_each_at_its_own_pace():
-    scale = (1.0, 1.3, 0.8)
+    scale = (1.3, 0.8)
     together, ends, rounds = pulled_scenes(scale)
     assert together.held.all()
     assert np.ptp(together.tight_at) > 0.1

@@ -214,4 +214,4 @@ def test_frames_that_follow_one_another_faster_than_told_are_refused():
 @pytest.mark.parametrize("hidden", [None, "bend", "weight"])
 def test_slow_motion_is_not_taken_for_a_wrong_rate(hidden):
     """Grips that take ten times as long: the inertia is a hundredth, and what is hidden is not."""
-    check_pace(moved(HIDDEN.get(hidden), rate=RATE / 10))
+    check_pace(moved(HIDDEN.get(hidden), rods=3, rate=RATE / 10))

@@ -167,7 +167,7 @@ def test_a_rod_bent_in_waves_is_laid_as_high_as_to_first_order():
 
 
 def test_sizes_of_random_bends_go_with_the_line_seen(monkeypatch):
-    monkeypatch.setattr(photographs_irregular, "_WAVES", 16)
+    monkeypatch.setattr(photographs_irregular, "_WAVES", 8)
     s = np.linspace(0.0, 0.47, 100)
     one, two = (
         irregular("green-vps", points, seen_wave(points))

@@ -26,7 +26,7 @@ def test_deployments_shared_out_are_those_of_one_batch(device, letter, monkeypat
         wrod.Trial(pattern, rod, letter, wrod.Friction(0.6), wrod.Disturbance.random(seed))
         for seed in range(3)
     ]
-    how = dict(discretisation=wrod.Discretisation(0.03, 0.02), device=device)
+    how = dict(discretisation=wrod.Discretisation(0.05, 0.04), device=device)
     together = simulate_deployments(trials, **how)
     monkeypatch.setattr(simulate, "chunks", lambda count, device, threads: ([[0, 2], [1]], 1))
     shared_out = simulate_deployments(trials, **how)
@@ -94,7 +94,7 @@ def test_threads_record_and_replay_what_one_thread_does(letter, monkeypatch, der
     for threads in ("1", "2"):
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
         monkeypatch.setattr(sharing_out, "usable_cores", lambda: 2)
-        found.append(lay(trials, directions, discretisation=wrod.Discretisation(0.03, 0.02)))
+        found.append(lay(trials, directions, discretisation=wrod.Discretisation(0.05, 0.04)))
         assert sum(recorded) == int(threads)
         recorded.clear()
     for one, other in zip(*found, strict=True):

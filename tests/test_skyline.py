@@ -15,7 +15,7 @@ WAYS = [
     pytest.param(skyline_lanes, "cuda:0", id="lanes-gpu", marks=needs_gpu),
 ]
 # Nodes, and pairs of edges that touch.
-SIZES = ((3, 1), (9, 2), (40, 0), (40, 6), (41, 60), (133, 10), (300, 25))
+SIZES = ((3, 1), (9, 2), (40, 0), (40, 6), (41, 60), (133, 10), (210, 30))
 RODS = 4
 
 
