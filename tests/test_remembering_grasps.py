@@ -136,7 +136,7 @@ def test_contacts_of_a_rod_that_remembers_are_in_order():
 @pytest.mark.parametrize("law", [Linear(), Plastic(5.0, 0.1)], ids=lambda law: law.name)
 def test_no_contacts_are_named(law):
     none, rod = np.zeros(0), replace(of_law(law), natural_curvature=(1.0, 0.0))
-    for solve in (wrod.solve_rod_grasps, solve_relaxed):
+    for solve in (wrod.solve_rod_grasps, relaxed.solve_relaxed):
         with pytest.raises(GraspError, match="at least one"):
             solve(rod, none, none, held_roll=0.0)
 

@@ -309,8 +309,7 @@ class _Condensation:
         b.launch(
             observed_tangents.measure_strain_tangents,
             (b.rod_count, b.node_count - 1, 1),
-            [b.every_rod, s.dof, s.director]
-            + [b.array(rate), 1],
+            [b.every_rod, s.dof, s.director] + [b.array(rate), 1],
             [out],
         )
         return out.reshape((b.rod_count, b.node_count))
