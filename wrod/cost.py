@@ -28,9 +28,9 @@ IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
 CORRECTED_PLAN = 15.0
 # A recording of motion identified, a joint path with approach and retreat, a plan, a bend pulled.
 RECORDING, JOINT_PATH, PLAN, BEND = 7.0, 12.0, 0.5, 50.0
-# Scenes of `wrod bench newton` of bodies, and of many worlds and of a pile, for each edge; what
-# hangs in a hand, and what loops do.
-NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 85.0, 1e-3, 1e-3
+# Scenes of `wrod bench newton` of bodies, six sevenths of it plectonemes, and of many worlds and of
+# a pile, for each edge; what hangs in a hand, and what loops do.
+NEWTON_BODIES, NEWTON_MANY, WORLD_EDGE, PILE_EDGE = 180.0, 85.0, 1e-3, 1e-3
 HAND, FOLD, LOOPS, EXPERIMENT = 28.0, 60.0, 60.0, 10.0
 # Kernels compiled for a CPU: what commands launch, and the others.
 KERNELS, RARE_KERNELS = 80.0, 70.0

@@ -60,7 +60,7 @@ def _measure_many(device: str, worlds: int, cables: int, edges: int) -> None:
 
     device = resolve_device(device)
     work = cost.Cost(
-        cost.NEWTON_BODIES + edges * (cost.WORLD_EDGE * worlds + cost.PILE_EDGE * cables**2)
+        cost.NEWTON_MANY + edges * (cost.WORLD_EDGE * worlds + cost.PILE_EDGE * cables**2)
     )
     cost.settle(work, f"{worlds} worlds and a pile of {cables}", "ask for fewer of them")
     click.echo(json.dumps({"machine": machine_line(device)}))
