@@ -257,10 +257,10 @@ def refuse_undefined(
             for values in (start, np.clip(start + 1e-3 * scale, low, high)):
                 asked = values + 1e-30j
                 setup = Model((effect,)).setup(base, asked)
-                told = {k: v for k, v in vars(setup).items() if v is not getattr(base, k, None)}
+                told = {k: vars(setup)[k] for k, v in vars(base).items() if vars(setup)[k] is not v}
                 if measurements is not None and type(effect).measure is not Effect.measure:
                     at = np.nan_to_num(measurements.centerline[setup.trials])
-                    frame = np.broadcast_to(np.eye(3), (*at.shape, 3))
+                    frame = np.zeros((*at.shape, 3)) + np.eye(3)
                     told["measure"] = effect.measure(at, frame, asked, setup)
                 lost = [k for k, v in told.items() if not np.isfinite(v).all()]
                 if lost:
