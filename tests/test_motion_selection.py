@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from wrod.bench.cables import command, lines, summary
 from wrod.errors import DataError
 from wrod.identification.effect import Effect, Model, Parameter, effects
-from wrod.identification.motion import selection
+from wrod.identification.motion import report, selection
 from wrod.identification.motion import solver as motion_solver
 from wrod.identification.motion.data import folds, noise_in_time, split_evenly, with_test
 from wrod.identification.motion.fit import Linearised, MotionLaboratory
@@ -375,6 +375,21 @@ def test_an_identification_that_was_stopped_goes_on(measured, tmp_path, monkeypa
         KnownSteps(steps, with_test(measured, np.array([0, 5])))
     remembered.forget()
     assert not steps.exists()
+
+
+def test_steps_of_more_work_than_an_identification_stay(measured, tmp_path, monkeypatch):
+    """A loop that is stopped while it plans does not identify the cable anew."""
+
+    def select(laboratory, *_, **__):
+        laboratory.cost(laboratory.windows([0], frames=4), Model(()), np.zeros(0))
+
+    monkeypatch.setattr(report, "select_motion", select)
+    monkeypatch.setattr(report, "_report", lambda *_: None)
+    path = tmp_path / "steps.jsonl"
+    report.identify_motion(measured, steps=path, evidence=False)
+    assert not path.exists()
+    report.identify_motion(measured, steps=KnownSteps(path, measured), evidence=False)
+    assert len(path.read_text().splitlines()) == 2
 
 
 def test_of_what_is_as_good_the_one_with_fewest_parameters_goes_ahead():

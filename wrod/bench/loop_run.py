@@ -23,6 +23,7 @@ from wrod.identification.clamped.setup import rotation_of
 from wrod.identification.effect import effects_asked
 from wrod.identification.entry import identification_cost
 from wrod.identification.motion.loading import load_motion
+from wrod.identification.motion.remembered import KnownSteps
 from wrod.identification.template import labels
 from wrod.machine import machine_line
 from wrod.options import refuse_idle_options
@@ -34,6 +35,8 @@ from wrod.solvers.friction import Friction
 
 # The free end of a cable is held for so much of its L_gb; a green VPS rod's 5 cm are 1.6 of them.
 _HELD, _VPS_HELD = 1.5, 0.05
+# Where a run that was stopped, while a recorded cable was identified or planned with, goes on from.
+_STEPS = "steps.jsonl"
 # Length between the clamps [m], and markers along it, ends included.
 _FREE_LENGTH, _MARKERS = 0.30, 21
 
@@ -60,6 +63,8 @@ def run(loop: Loop) -> dict[str, Any]:
         (case,) = cases.values()
         curves = {"bend": own_bend(case.model)}
     rows = _laid(loop, cases, curves)
+    for name in cases:
+        (loop.out / name / _STEPS).unlink(missing_ok=True)
     found = {effect: _found(case) for effect, case in cases.items()}
     text = markdown(rows, found, loop.head)
     write_text(loop.out / "loop.md", text)
@@ -210,9 +215,9 @@ def clamped_experiment(
 def _recorded(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
     """The one case of a recorded cable: what was found in it is the best that is known of it."""
     name = loop.recording.stem
-    steps = loop.out / name / "steps.jsonl"  # where a run that was stopped goes on from
     with loop.timed("identification"):
         recordings = load_motion(loop.recording)
+        steps = KnownSteps(loop.out / name / _STEPS, recordings)
         report: Any = identify(
             recordings, candidates=loop.candidates or None, device=loop.device, steps=steps,
             evidence=False,

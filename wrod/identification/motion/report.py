@@ -173,7 +173,7 @@ def identify_motion(
     candidates: Sequence[Effect | str] | None = None,
     subdivisions: int = 2,
     device: arguments.DeviceLike = "cpu",
-    steps: str | os.PathLike[str] | None = None,
+    steps: str | os.PathLike[str] | KnownSteps | None = None,
     evidence: bool = True,
     progress=None,
 ) -> MotionReport:
@@ -187,7 +187,8 @@ def identify_motion(
         subdivisions: edges of the rod between neighbouring free markers.
         device: "cpu", "cuda:0", "auto".
         steps: file that remembers what has been computed while the work goes on: where it was
-            stopped, it goes on from there.
+            stopped, it goes on from there. It is removed at the end, but where `KnownSteps` are
+            given, which belong to more work than this.
         evidence: also show on which force what the base model lacks acts, for readers; no effect
             is chosen by it.
         progress: called with (text,) as the work goes on.
@@ -200,7 +201,7 @@ def identify_motion(
     m, chosen = as_asked("motion", MotionMeasurements, load_motion, *asked)
     device = resolve_device(device)
     check_pace(m, device=device)
-    remembered = None if steps is None else KnownSteps(Path(steps), m)
+    remembered = KnownSteps(Path(steps), m) if isinstance(steps, (str, os.PathLike)) else steps
     laboratory = MotionLaboratory(
         m, subdivisions=subdivisions, device=device, remembered=remembered
     )
@@ -216,7 +217,7 @@ def identify_motion(
             m, base, selection.base_values, looked_at, int(m.validation[0]), device=device
         )
     report = _report(selection, prints)
-    if remembered is not None:
+    if remembered is not None and remembered is not steps:
         remembered.forget()
     return report
 
