@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
 from wrod.identification.clamped.layout import COMPLEX_STEP
@@ -236,8 +237,12 @@ class LocalLoad(Described):
 
 
 class Attraction(Described):
-    """A pull towards one point. Its place along the force is that of the measured shape, which is
-    the rod's to within the noise: much less than the reach."""
+    """A pull towards one point.
+
+    Args:
+        shape: (T, n + 1, 3) where it pulls at the rods of all trials; default: at their measured
+            shapes, which are theirs to within the noise.
+    """
 
     name = "attraction"
     title = "a pull towards one point of the laboratory"
@@ -252,8 +257,21 @@ class Attraction(Described):
         Parameter("log_reach", "", 0.7, lower=np.log(5e-3), anywhere=True),
     )
 
+    def __init__(self, first: Sequence[ArrayLike], shape: np.ndarray | None = None):
+        super().__init__(first)
+        self.shape = shape
+
+    def _pulled_at(self, setup) -> np.ndarray:
+        if self.shape is None:
+            return setup.measured
+        own, (_, nodes, _) = self.shape[setup.trials], setup.measured.shape
+        if own.shape[1] == nodes:
+            return own
+        known = np.linspace(0.0, 1.0, own.shape[1])
+        return CubicSpline(known, own, axis=1)(np.linspace(0.0, 1.0, nodes))
+
     def apply(self, setup, values):
-        away = np.asarray(values[1:4]) - setup.measured
+        away = np.asarray(values[1:4]) - self._pulled_at(setup)
         square = np.sum(away * away, axis=2, keepdims=True) + np.exp(2.0 * values[4])
         setup.push(values[0] * self.distance**2 * away / (square * np.sqrt(square)))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit, fit_models
-from wrod.identification.clamped.giving import TURNS, giving_for, settled
+from wrod.identification.clamped.giving import TURNS, giving_for, pulled_at_own, settled
 from wrod.identification.clamped.held_out import held_out_error
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import gain_of_scatter
@@ -227,7 +227,7 @@ def leaner(laboratory, current: Fit, candidates, rounds: list[Round]) -> Fit:
         # Components of a profile are no free numbers.
         best = min([current, *fits], key=evident if has_profile(current.model) else lambda f: f.bic)
         if best is current:
-            return current
+            return pulled_at_own(laboratory, current)
         current = settled(laboratory, best)
 
 
