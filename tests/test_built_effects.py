@@ -12,6 +12,7 @@ from wrod.errors import DataError
 from wrod.identification import identify
 from wrod.identification.clamped.described import Attraction, LocalBend, LocalLoad, Stretch
 from wrod.identification.clamped.fit import Fit, fit_models
+from wrod.identification.clamped.giving import _mixed, pulled_at_own
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.moment_law import MomentLaw
@@ -275,3 +276,36 @@ def test_a_bend_over_the_whole_rod_comes_near_to_a_natural_curvature(laboratory)
     assert np.abs(bent - curved).max() < 1e-3 * np.abs(bent).max()
     narrow = bend.special_cases(np.append(values[:3], np.log(1e-3)), m)[name]
     assert narrow * length == pytest.approx([-1.9, -0.7])  # the angle, spread over the rod
+
+
+@pytest.mark.slow
+def test_a_pull_is_at_the_rods_own_places_and_not_where_markers_err():
+    """Beside a strong one the noise of markers is a force in each trial that is not there."""
+    data, hidden = hidden_set("magnet", 903)
+    truth = hidden.truth["attraction"]
+    lab = Laboratory(measurements_from_arrays(data))
+    values = np.array([*truth[("strength",)], *truth[("x", "y", "z")], np.log(0.05)])
+    fit = fit_models(lab, [Model((Attraction([values]),))], [values], race=False)[0]
+    own = pulled_at_own(lab, fit)
+    for trials, some in ((lab.measurements.train, 50.0), (lab.measurements.test, 20.0)):
+        count = lab.read[trials].sum()
+        left, less = (lab.misfit(f.model, f.values, trials).sum() for f in (fit, own))
+        assert less < left - some and less < count + 1.5 * np.sqrt(2.0 * count)
+    solver, _ = lab.solver_at(own.model, own.values)
+    there = solver.batch.positions()[:, 1:-1]
+    assert np.abs(there - own.model.effects[0].shape).max() < 2e-4
+
+
+def test_what_leads_away_is_mixed_to_where_it_stands():
+    """Passes of a linear map that stretches one direction and shrinks others, of two trials."""
+    rng = np.random.default_rng(0)
+    turn = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    map_of = turn @ np.diag([-1.5, 0.9, 0.5, 0.0, 0.0, 0.0]) @ turn.T
+    stands = rng.normal(size=(2, 2, 3))
+    asked = [stands + rng.normal(size=stands.shape)]
+    given = []
+    for _ in range(5):
+        away = (asked[-1] - stands).reshape(2, 6)
+        given.append(stands + (away @ map_of.T).reshape(stands.shape))
+        asked.append(_mixed(np.array(asked), np.array(given)))
+    assert asked[-1] == pytest.approx(stands, abs=1e-9)
