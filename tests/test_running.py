@@ -229,7 +229,7 @@ def locked(self):
         time.sleep(0)
 threading.Condition.__enter__ = locked
 import wrod.grasps.optimal
-wrod.grasps.optimal.usable_cores = lambda: 2
+wrod.grasps.optimal.worker_threads = lambda asked: 2
 from wrod.__main__ import main
 main()
 """

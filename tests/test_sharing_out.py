@@ -10,6 +10,7 @@ import pytest
 import warp as wp
 
 import wrod
+from wrod import machine
 from wrod.deployment import sharing_out, simulate
 from wrod.deployment.simulate import simulate_deployments
 from wrod.deployment.tangents import Directions, lay
@@ -93,7 +94,7 @@ def test_threads_record_and_replay_what_one_thread_does(letter, monkeypatch, der
     found = []
     for threads in ("1", "2"):
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
-        monkeypatch.setattr(sharing_out, "usable_cores", lambda: 2)
+        monkeypatch.setattr(machine, "usable_cores", lambda: 2)
         found.append(lay(trials, directions, discretisation=wrod.Discretisation(0.05, 0.04)))
         assert sum(recorded) == int(threads)
         recorded.clear()

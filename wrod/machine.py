@@ -50,6 +50,14 @@ def usable_cores() -> int:
     return max(1, cores // _beside)
 
 
+def worker_threads(asked: int | None = None) -> int:
+    """Threads to work with on a CPU: those asked for, or one per core, but no more than
+    OMP_NUM_THREADS says."""
+    said = os.environ.get("OMP_NUM_THREADS", "")
+    most = int(said) if said.isdecimal() and int(said) > 0 else usable_cores()
+    return asked or min(usable_cores(), most)
+
+
 def available_memory(device: str = "cpu") -> float:
     """Bytes that this process may still take, of a GPU those that are free there; infinite where
     the system does not say."""

@@ -1,12 +1,11 @@
 """Trials that are shared out to the threads of a CPU."""
 
-import os
 from collections.abc import Callable, Sequence
 from itertools import chain
 from threading import Event
 from typing import Any
 
-from wrod.machine import usable_cores
+from wrod.machine import worker_threads
 from wrod.solvers import recording
 
 # Rods stepped at once on a CPU: more would leave its caches.
@@ -18,13 +17,10 @@ class _NotWantedError(Exception):
 
 
 def chunks(count: int, device: str, threads: int | None = None) -> tuple[list[list[int]], int]:
-    """Trials that are simulated at once, and the threads that do: those asked for, or one per core,
-    but no more than OMP_NUM_THREADS says."""
+    """Trials that are simulated at once, and the threads that do."""
     size, workers = count, 1
     if device == "cpu":
-        said = os.environ.get("OMP_NUM_THREADS", "")
-        most = int(said) if said.isdecimal() and int(said) > 0 else usable_cores()
-        workers = threads or min(usable_cores(), most)
+        workers = worker_threads(threads)
         parts = workers * -(-count // (workers * _CPU_CHUNK))
         size = max(1, -(-count // max(parts, 1)))
     every = list(range(count))

@@ -30,7 +30,7 @@ from wrod.grasps.levels import (
 from wrod.grasps.mesh import ghost, node_weights, tolerance, two_sided_rest_lengths
 from wrod.kernels.grasping import general_rod, iteration, memory, reading
 from wrod.kernels.linear.frontal import row_width, stencil_entries
-from wrod.machine import usable_cores
+from wrod.machine import worker_threads
 from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import of_free_part
 from wrod.rods.state import Derivatives
@@ -118,7 +118,7 @@ def solve_general(
     edges = options.edge_count
     right = curvature < 0.0
     on_cpu, n = options.device == "cpu", len(length)
-    workers = (options.threads or usable_cores()) if on_cpu else 1
+    workers = worker_threads(options.threads) if on_cpu else 1
     least = min(n, _CPU_LEAST)
     size = max(least, min(_CPU_CHUNK if on_cpu else _CUDA_CHUNK, -(-n // workers)), 1)
     # Properties on both meshes and results, twice while they are put together, stay in this

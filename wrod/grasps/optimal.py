@@ -20,7 +20,7 @@ from wrod.grasps.inputs import GraspArrays, GraspOptions, closure_number
 from wrod.grasps.levels import Ladder, compile_kernels
 from wrod.grasps.results import LIMITS, SENSITIVITIES, Grasps
 from wrod.kernels.grasping.reading import Results
-from wrod.machine import usable_cores
+from wrod.machine import worker_threads
 from wrod.solvers.recording import launching
 from wrod.solvers.stability import smallest_eigenvalue
 
@@ -82,7 +82,7 @@ def solve_grasps(
         shapes: return the rods' shapes as well.
         edge_count: edges of the finest mesh, even.
         extrapolate: combine both meshes; without it the results are those of the finest mesh.
-        threads: CPU threads; default: one per core.
+        threads: CPU threads; default: one per core, but no more than OMP_NUM_THREADS says.
         progress: called with the number of grasps done after every chunk.
 
     Raises:
@@ -129,7 +129,7 @@ def solve_twisted(
 def _solve_straight(inputs: GraspArrays, sensitivities: bool, options: GraspOptions) -> Grasps:
     rods, device, edges = len(inputs), inputs.device, options.edge_count
     room = options.shapes or options.eigenvalues
-    workers = 1 if device != "cpu" else (options.threads or usable_cores())
+    workers = 1 if device != "cpu" else worker_threads(options.threads)
     size = _CPU_CHUNK if device == "cpu" else _CUDA_CHUNK
     size = max(1, min(size, -(-rods // workers)))
     ladder = _kept_ladder(size, edges, device, sensitivities)

@@ -16,7 +16,7 @@ from wrod.errors import GraspError
 from wrod.grasps.held_rods import HeldRods
 from wrod.grasps.inputs import check_inputs
 from wrod.grasps.optimal import solve_grasps
-from wrod.machine import usable_cores
+from wrod.machine import worker_threads
 from wrod.rods.device import resolve_device
 
 EDGE_COUNT = 64
@@ -190,7 +190,7 @@ def grasp_shapes(ls, kappa, ks, edge_count, device, threads) -> np.ndarray:
 
 def in_chunks(solve: Callable, count: int, device: str, threads: int | None) -> list:
     """`solve(slice)` over chunks of `count` rods, on the CPU by several threads."""
-    workers = 1 if device != "cpu" else (threads or usable_cores())
+    workers = 1 if device != "cpu" else worker_threads(threads)
     size = _CPU_CHUNK if device == "cpu" else _CUDA_CHUNK
     size = max(1, min(size, -(-count // workers)))
     chunks = [slice(i, min(i + size, count)) for i in range(0, count, size)]
