@@ -105,7 +105,7 @@ def judge(photographs: list[LaidPhotograph], laid: Deployments, drawn: int | Non
         ],
     )
     cases = [
-        _Case(p, tuple(one.values()), tuple(scenarios[p.rod].values()), *column.T,
+        _Case(p, tuple(one.values()), tuple(scenarios[p.rod].values()), column[:, 0], column[:, 1],
               list(scenarios[p.rod]).index(believed_scenario(p.rod)), cameras[p.pattern_name])
         for p, one, column in zip(photographs, rods, columns, strict=True)
     ]  # fmt: skip
@@ -242,7 +242,7 @@ def _costs(cases, without) -> np.ndarray:
         if name == without or len({c.photograph.pattern_name for c in own} - {name, without}) < 1:
             continue
         cost = [_cost(own, case, way, {name, without}) for way in WAYS]
-        out.setdefault(name, []).append(heard(cost))
+        out.setdefault(name, []).append(heard(np.array(cost)))
     return np.array([np.mean(one, axis=0) for one in out.values()]).reshape(-1, len(WAYS))
 
 
