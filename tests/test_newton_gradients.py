@@ -389,7 +389,7 @@ def compare(scene, names, size=1e-4, together=False, **options):
             little.append("node_natural_curvature")
         damping = name in ("rod_air_damping", "rod_internal_damping")
         if name in little or (damping and (scene.ground or scene.crossed)):
-            way *= 300.0 if scene.crossed and name == "edge_spin" else 30.0
+            way *= 1000.0 if scene.crossed and name == "edge_spin" else 30.0
         elif name == "node_q" and scene.kinked:  # the skin in which contact begins is thin
             way *= 0.01
         if together and name in PROPERTIES:
