@@ -1,12 +1,15 @@
 """Grasps of rods whose properties vary along them."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 import wrod
 from wrod.errors import GraspError, WrodWarning
+from wrod.grasps.general import curved_rods, solve_general
+from wrod.grasps.inputs import GraspOptions, closure_number
 from wrod.grasps.optimal import solve_grasps
 from wrod.grasps.rod_grasps import solve_rod_grasps
 from wrod.rods.catalogue import rod
@@ -221,3 +224,29 @@ def test_grasps_that_know_a_spun_rods_twist_are_taken_where_they_are_expected_to
         RodModel.of(straight), bending_stiffness=(Profile((1e-5, 2e-5), (0.0, 0.8)),) * 2
     )
     assert chosen(0.02, 0.01, held=tapered) is plan
+
+
+def test_grasps_begin_where_others_ended():
+    """Those of nearly the same rods: they are found again, in fewer iterations, and sought from
+    straight rods where there is nothing to begin with or no way from there."""
+    length, curvature = np.array([4.0, 6.0, 9.0, 5.0]), np.array([0.5, -1.0, 0.3, 1.2])
+    stretch, roll = np.full(4, 800.0), np.zeros(4)
+    natural = np.array([[0.3, 0.2], [-0.2, 0.3], [0.1, 0.1], [0.2, -0.2]])
+    options = GraspOptions(
+        closure_number("min_friction"), "cpu", 32, True, True, False, None, None, True
+    )
+
+    def found(share, start=None):
+        rods = partial(curved_rods, length, stretch, share * natural, 0.5)
+        return solve_general(length, curvature, stretch, rods, roll, options, start)
+
+    before, fresh = found(0.9), found(1.0)
+    ends = before["coarse_end"], before["fine_end"]
+    for end in ends:
+        end[1], end[2] = np.nan, 1e3
+    again = found(1.0, ends)
+    assert fresh["converged"].all() and again["converged"].all()
+    for name in ("position", "rotation", "force", "twist", "fine", "eigenvalue", "growth"):
+        np.testing.assert_allclose(again[name], fresh[name], rtol=1e-7, atol=1e-9, err_msg=name)
+    fewer = again["iterations"] < 0.5 * fresh["iterations"]
+    assert fewer.tolist() == [True, False, False, True]
