@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 from scipy.interpolate import PPoly, make_interp_spline
+from scipy.spatial import cKDTree
 
 from wrod.patterns.curve import smoothstep
 from wrod.patterns.smoothing import fit_heading
@@ -77,14 +78,24 @@ def _width(first: float, second: float) -> float:
 def distance_from_lines(points: np.ndarray, curve: np.ndarray) -> tuple[float, int]:
     """How far a curve (m, 2) leaves the polyline through points (n, 2), and where in `curve`."""
     start, axis = points[:-1], np.diff(points, axis=0)
-    # Against the nearest few lines only: there may be thousands of either.
     square = np.maximum((axis**2).sum(1), 1e-300)
+
+    def away(part, lines):
+        offset, along = part[:, None] - start[lines], axis[lines]
+        share = np.clip((offset * along).sum(-1) / square[lines], 0.0, 1.0)
+        return np.linalg.norm(offset - share[..., None] * along, axis=-1).min(1)
+
+    # None is farther than from the two lines at the nearest point: those that are far from these
+    # are compared with all lines, of which there may be thousands.
+    nearest = cKDTree(points).query(curve)[1][:, None] + [-1, 0]
+    most = away(curve, nearest.clip(0, len(start) - 1))
+    order = np.argsort(-most, kind="stable")
     worst, place = 0.0, 0
-    for low in range(0, len(curve), 256):
-        part = curve[low : low + 256]
-        offset = part[:, None] - start[None]
-        share = np.clip((offset * axis).sum(-1) / square, 0.0, 1.0)
-        far = np.linalg.norm(offset - share[..., None] * axis, axis=-1).min(1)
+    for low in range(0, len(curve), 64):
+        part = order[low : low + 64]
+        if most[part[0]] <= worst:
+            break
+        far = away(curve[part], np.arange(len(start))[None])
         if far.max() > worst:
-            worst, place = float(far.max()), low + int(far.argmax())
+            worst, place = float(far.max()), int(part[far.argmax()])
     return worst, place

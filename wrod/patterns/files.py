@@ -338,17 +338,15 @@ def _distance_from_neighbours(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distance of inner points from Lagrange interpolation by their neighbours, and the spacing."""
     arc = np.concatenate([[0.0], np.cumsum(spacing)])
-    off = np.empty(len(flat) - 2)
-    for index in range(1, len(flat) - 1):
-        first = min(max(index - 2, 0), len(flat) - 5)
-        around = [k for k in range(first, first + 5) if k != index]
-        places, target = arc[around], arc[index]
-        weights = [
-            np.prod((target - np.delete(places, k)) / (places[k] - np.delete(places, k)))
-            for k in range(4)
-        ]
-        off[index - 1] = np.linalg.norm(flat[index] - weights @ flat[around])
-    return off, np.minimum(spacing[:-1], spacing[1:])
+    index = np.arange(1, len(flat) - 1)
+    around = (index - 2).clip(0, len(flat) - 5)[:, None] + np.arange(5)
+    around = around[around != index[:, None]].reshape(-1, 4)
+    places = arc[around]
+    # Factors of Lagrange's weights, of each with each of the others.
+    apart = places[:, :, None] - places[:, None] + np.eye(4)
+    factors = np.where(np.eye(4) > 0.0, 1.0, (arc[index, None] - places)[:, None] / apart)
+    off = flat[index] - np.einsum("nk,nka->na", factors.prod(axis=2), flat[around])
+    return np.linalg.norm(off, axis=1), np.minimum(spacing[:-1], spacing[1:])
 
 
 def write_points(path, position: np.ndarray, others: tuple[str, ...]) -> Path:
