@@ -206,7 +206,7 @@ def test_an_obstacle_in_the_way_is_named_and_one_beside_is_kept_clear_of(
     ):
         short.setattr("wrod.robot.solve._REFINED", 1)
         short.setattr("wrod.robot.solve._DEEPER", 0)
-        wrod.solve_joint_path(line, "ur5e", place, obstacles=wall)
+        wrod.solve_joint_path(line, "ur5e", place, obstacles=wall, grip_angle=free.grip.angle)
     # A wall 12 cm behind everything that the hand does, which the elbow need not touch.
     reach = np.abs(hand[:, 1]).max() + 0.25
     wall = obstacles(tmp_path, size=[1.0, 0.05, 0.4], xyz=[0.3, float(reach), 0.2])

@@ -41,6 +41,19 @@ def in_world(path, positions):
     return poses
 
 
+@pytest.fixture
+def short_search(monkeypatch):
+    """What cannot be reached is not searched for near every branch."""
+    monkeypatch.setattr("wrod.robot.solve._REFINED", 1)
+    monkeypatch.setattr("wrod.robot.solve._DEEPER", 0)
+
+
+@pytest.fixture
+def first_branch(monkeypatch):
+    """Where any path will do, no second one is improved."""
+    monkeypatch.setattr("wrod.robot.attempt._TRIED", 1)
+
+
 def test_grip_is_held_at_every_node(letter, letter_path):
     poses = in_world(letter_path, letter_path.node_positions)
     assert np.linalg.norm(poses[:, :3, 3] - letter.position, axis=1).max() < 1e-4
@@ -108,6 +121,7 @@ def test_timing_keeps_the_limits_and_the_rate(letter_path):
     assert (np.diff(letter_path.node_time) > 0).all()
 
 
+@pytest.mark.usefixtures("first_branch")
 def test_an_arm_that_is_fast_enough_is_at_each_pose_when_that_is_due(letter, letter_path):
     own = replace(letter, metadata={**letter.metadata, "optimised": {"pace": 0.04}})
     robot = letter_path.robot
@@ -127,6 +141,7 @@ def test_an_arm_that_is_fast_enough_is_at_each_pose_when_that_is_due(letter, let
         np.testing.assert_allclose(path.arc_length[even], laid[even], atol=2e-4)
 
 
+@pytest.mark.usefixtures("first_branch")
 def test_an_arm_that_its_limits_slow_down_says_where(letter, letter_path):
     from wrod.commands.plan_summary import _laid_slowly
     from wrod.robot.timing import laid_slowly
@@ -147,6 +162,7 @@ def test_an_arm_that_its_limits_slow_down_says_where(letter, letter_path):
     assert laid_slowly(np.arange(6.0), np.array(times), laid) == (2.5, [[0.1, 0.2], [0.4, 0.5]])
 
 
+@pytest.mark.usefixtures("first_branch")
 def test_fast_grip_is_slowed_to_the_joint_limits(letter, letter_path):
     fast = wrod.solve_joint_path(letter, placement=letter_path.placement, pace=5.0)
     load = fast.metadata["load"]
@@ -287,6 +303,7 @@ def test_rod_can_cross_the_fingers(letter):
     assert np.abs(across).max() < 1e-4
 
 
+@pytest.mark.usefixtures("short_search")
 @pytest.mark.parametrize(
     "placement, says",
     [
@@ -303,14 +320,7 @@ def test_unreachable_placement_says_where_and_by_how_much(letter, placement, say
     assert "placed at x" in str(error.value) and "placement 'auto'" in str(error.value)
 
 
-@pytest.fixture
-def short_search(monkeypatch):
-    """What cannot be reached is not searched for near every branch."""
-    monkeypatch.setattr("wrod.robot.solve._REFINED", 1)
-    monkeypatch.setattr("wrod.robot.solve._DEEPER", 0)
-
-
-@pytest.mark.usefixtures("short_search")
+@pytest.mark.usefixtures("short_search", "first_branch")
 def test_joint_limit_is_named_with_node_and_amount(letter, letter_path):
     with pytest.raises(RobotError, match=r"joint right_j\d comes within .* rad of its limit of"):
         wrod.solve_joint_path(
@@ -380,6 +390,7 @@ def test_every_pattern_and_rod_has_a_path(request, pattern, rod, published):
     assert row["beyond"] < 0.05
 
 
+@pytest.mark.usefixtures("first_branch")
 def test_robot_object_is_used_as_it_is(letter, letter_path):
     arm = load_robot("sawyer", gripper_length=0.2)
     path = wrod.solve_joint_path(letter, robot=arm, placement=letter_path.placement)

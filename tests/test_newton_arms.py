@@ -23,7 +23,7 @@ def test_an_arm_under_mujoco_feels_its_cable():
         warnings.simplefilter("ignore", newton.NewtonWarning)  # joints outside articulations
         arm = TwoLinkArm(mujoco=True, visible=True)
     assert arm.arm.mj_model.nv == 2
-    arm.settle(900, 0.002)
+    arm.settle(600, 0.002)
     torques = arm.torques()
     assert np.abs(torques).min() > 2.0
     assert torques == pytest.approx(arm.statics(), rel=0.01)
