@@ -75,6 +75,16 @@ class Arm:
         rooms = self.rooms(positions, other)
         return np.all([room >= _WANTED[kind] for kind, room in rooms.items()], axis=0)
 
+    def shortfalls(self, paths: np.ndarray, other=None) -> np.ndarray:
+        """(B,) by how much each of several paths (B, K, n) fails, 0 if it does not."""
+        if other is not None:
+            start, end, radius = other
+            other = *(np.tile(p, (len(paths), 1, 1)) for p in (start, end)), radius
+        rooms = self.rooms(paths.reshape(-1, paths.shape[2]), other)
+        least = {kind: room.reshape(paths.shape[:2]).min(1) for kind, room in rooms.items()}
+        short = [_WANTED[kind] - room for kind, room in least.items()]
+        return np.max(short, axis=0).clip(0.0)
+
     def problem(self, positions: np.ndarray, other=None) -> tuple[float, str | None]:
         """By how much a path (K, n) fails, 0 if it does not, and how; `other` are capsules."""
         worst, what = 0.0, None

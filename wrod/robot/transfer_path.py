@@ -84,11 +84,12 @@ class HandFollower:
         """Cost, grasp and coarse joint positions of different branches, the best first."""
         to_base = self.arm.placement.base_from_world
         targets = np.stack([to_base @ g.targets(self.transfer, self.frames) for g in self.grasps])
-        found = []
-        for choice, positions, miss, excess in follow_targets(self.arm.robot, targets, _SEEDS):
+        found, rows = [], follow_targets(self.arm.robot, targets, _SEEDS)
+        paths = np.stack([positions for _, positions, _, _ in rows])
+        shorts = self.arm.shortfalls(paths, _at(self.other, self.frames))
+        for short, (choice, positions, miss, excess) in zip(shorts, rows, strict=True):
             grasp = self.grasps[choice]
             branch = Branch(self.arm.placement, grasp.grip, positions, miss, excess)
-            short, _ = self.arm.problem(positions, _at(self.other, self.frames))
             far = np.abs(positions[0] - self.before).max()
             cost = branch.cost + 10.0 * short + 0.5 * abs(grasp.slant) + _FAR * far
             found.append((cost, grasp, positions))
