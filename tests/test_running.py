@@ -89,8 +89,8 @@ def test_every_end_is_one_sentence(error, says, code, tmp_path):
     ],
 )
 def test_variables_that_a_library_cannot_read_are_named(name, tmp_path):
-    words = ["plan", "line", "--rod", "rope", "--method", "intuitive", "--no-robot", "--spacing"]
-    call = [sys.executable, "-m", "wrod", *words, "0.05", "--out", str(tmp_path / "out")]
+    words = ["scan", "none.png", "--scale", "0.001"]
+    call = [sys.executable, "-m", "wrod", *words, "--out", str(tmp_path / "out")]
     run = subprocess.run(call, env=os.environ | {name: "x"}, capture_output=True, text=True)
     assert run.returncode == REFUSED and f"{name}='x'" in run.stderr and len(run.stderr) < 300
 
