@@ -94,6 +94,11 @@ def test_summary_names_the_cells_that_fall_short():
     assert "0.29 ± 0.13" in markdown(good, "head")  # the paper's cell
 
 
+def undrawn(monkeypatch):
+    """The picture of a table takes longer than its cells."""
+    monkeypatch.setattr("wrod.bench.table3_report.draw", lambda path, *_: path)
+
+
 def test_part_of_a_campaign_is_written_and_resumed(tmp_path, monkeypatch):
     """Two cells on coarse meshes and long steps; a second call does what lacks, a third goes on to
     more cells with the trials that are there."""
@@ -104,6 +109,8 @@ def test_part_of_a_campaign_is_written_and_resumed(tmp_path, monkeypatch):
     assert figures["simulated_now"] == figures["trials"] == 4
     table = (tmp_path / "table3.md").read_text()
     assert table.count("let go") == 2 and "| rope |" not in table
+    assert (tmp_path / "table3.png").read_bytes()[:4] == b"\x89PNG"
+    undrawn(monkeypatch)
     lines = (tmp_path / "trials.jsonl").read_text().splitlines()
     (tmp_path / "trials.jsonl").write_text("\n".join(lines[:3]) + "\n")
     figures = json.loads(CliRunner().invoke(main, [*args, "--substrate", "steel"]).output)
@@ -129,6 +136,7 @@ def test_plans_that_know_their_table_know_the_pace_too(tmp_path, monkeypatch):
             done(job, job[3])
 
     monkeypatch.setattr(courses, "run", run)
+    undrawn(monkeypatch)
     args = ["bench", "table3", "--out", str(tmp_path), "--trials", "1", "--device", "cpu"]
     args += ["--speed", "0.2", "--step", "0.1", "--spacing", "0.04", "--json", "--known-table"]
     told(*args, "--rod", "pink-vps", "--pattern", "line")
