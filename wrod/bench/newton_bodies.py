@@ -215,7 +215,7 @@ def period_and_rate(x: np.ndarray) -> tuple[float, float]:
 
 def trembles(ratio: float, scheme: str, relaxation: float = 1.0) -> bool:
     """Whether what goes to and fro from step to step stays: more than a swing's differences."""
-    x = Slider(ratio, scheme, relaxation).run(400)
+    x = Slider(ratio, scheme, relaxation).run(200)
     return not np.abs(np.diff(x, 3)[-20:]).max() < 10.0 * _AMPLITUDE * (_RATE * STEP) ** 3
 
 
