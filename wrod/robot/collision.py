@@ -169,7 +169,7 @@ class CollisionModel:
         cross = torch.linalg.cross
         moment = below @ sum(cross(p, f) for p, f in zip(points, slopes, strict=True))
         about = moment - cross(frames[..., :3, 3], force)
-        return _dot(about, self.robot.jacobian.axes(frames))
+        return _dot(about.unbind(-1), self.robot.jacobian.axes(frames).unbind(-1))
 
     def self_distances(self, start: torch.Tensor, end: torch.Tensor) -> torch.Tensor:
         """(B, pairs) gap between the capsules of each pair [m], negative where they overlap."""
@@ -197,11 +197,12 @@ class CollisionModel:
         import torch
 
         low = self.low
-        axis = end[:, low] - start[:, low]
-        offset = contacts[None, None] - start[:, low, None]
-        share = _dot(offset, axis[:, :, None]) / _dot(axis, axis).clamp_min(1e-12)[..., None]
-        near = offset - share.clamp(0, 1)[..., None] * axis[:, :, None]
-        gap = near.norm(dim=-1)
+        axis = (end[:, low] - start[:, low])[:, :, None].unbind(-1)
+        begin = start[:, low, None].unbind(-1)
+        offset = [x - y for x, y in zip(contacts.unbind(-1), begin, strict=True)]
+        share = (_dot(offset, axis) / _dot(axis, axis).clamp_min(1e-12)).clamp(0, 1)
+        near = [x - share * y for x, y in zip(offset, axis, strict=True)]
+        gap = (_dot(near, near) + 1e-18).sqrt()
         later = torch.arange(len(contacts))[None] >= laid[:, None]
         gap = gap.masked_fill(later[:, None], _NOTHING).amin(-1)
         return gap - torch.from_numpy(self.radius[low]) - rod_radius
@@ -281,18 +282,19 @@ def segment_distance(p1, q1, p2, q2):
 
     Ericson, Real-Time Collision Detection, sec. 5.1.9.
     """
-    d1, d2, r = q1 - p1, q2 - p2, p1 - p2
+    d1, d2 = (q1 - p1).unbind(-1), (q2 - p2).unbind(-1)
+    r = [x - y for x, y in zip(p1.unbind(-1), p2.unbind(-1), strict=True)]
     a = _dot(d1, d1).clamp_min(1e-12)
     e = _dot(d2, d2).clamp_min(1e-12)
     b, c, f = _dot(d1, d2), _dot(d1, r), _dot(d2, r)
     s = ((b * f - c * e) / (a * e - b * b).clamp_min(1e-12)).clamp(0, 1)
     t = ((b * s + f) / e).clamp(0, 1)
     s = ((b * t - c) / a).clamp(0, 1)
-    gap = p1 + d1 * s[..., None] - p2 - d2 * t[..., None]
+    gap = [z + x * s - y * t for x, y, z in zip(d1, d2, r, strict=True)]
     return (_dot(gap, gap) + 1e-18).sqrt()
 
 
 def _dot(a, b):
-    """Of vectors (..., 3); a sum over so short an axis takes torch three times as long."""
-    x, y, z = (a * b).unbind(-1)
-    return x + y + z
+    """Of vectors by their three components: operations along so short an axis take torch several
+    times as long."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
