@@ -1,7 +1,7 @@
 """From a grip trajectory to a joint path of an arm.
 
 urdf, mesh, model       the robot: a URDF, its shapes, limits and frames
-kinematics              batched forward and inverse kinematics (pytorch-kinematics)
+kinematics              batched forward and inverse kinematics
 grip                    how the rod is held, and the grip's path as a smooth curve
 placement               where the pattern lies before the robot
 search                  inverse kinematics branches, followed along the whole path

@@ -72,9 +72,8 @@ class CollisionModel:
         self.exact = ExactShapes.of(self.shapes)
         self.links = [self.shapes[k].link for k in shape_of]
         self.radius = np.array([c[2] for c in capsules])
-        self.anchors = [self._anchor(link) for link in self.links]
         depth = self._depths()
-        self.depth = np.array([depth[a] for a in self.anchors])
+        self.depth = np.array([depth[self._anchor(link)] for link in self.links])
         self._ends = self._carried(np.array([c[:2] for c in capsules]))
         self.pairs = self._pairs()
         # The first two moving links stay over the pedestal; whatever comes after may reach down.

@@ -1,4 +1,4 @@
-"""Batched kinematics of the grasp on pytorch-kinematics: pose errors, Newton steps, null spaces."""
+"""Batched kinematics of the grasp: pose errors, Newton steps, null spaces, inverse kinematics."""
 
 from __future__ import annotations
 
