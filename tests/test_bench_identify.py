@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cli import refused
 from click.testing import CliRunner
-from hidden import COARSE, SETS, coarse, draw, kept
+from hidden import COARSE, SETS, draw, kept
 
 from wrod.bench.continuous_rod import excess_of
 from wrod.bench.hidden_effects import MAGNET_REACH
@@ -183,7 +183,7 @@ TRUE = {
 def test_the_plug_in_at_the_true_values_leaves_noise(name):
     known = (name, 11, "white")
     data, truth = kept(*known) if known in SETS else draw(*known)
-    laboratory = coarse(data)
+    laboratory = Laboratory(measurements_from_arrays(data))
     assert len(data["centerline"]) == TRIALS
     ((effect, true),) = truth.items()
     model = Model((effects()[effect],))
