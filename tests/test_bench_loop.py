@@ -2,6 +2,7 @@
 
 import csv
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,10 +10,17 @@ from cli import refused, told
 from scipy.spatial.transform import Rotation
 
 import wrod
+from wrod.bench.continuous_rod import measured
 from wrod.bench.loop_run import clamped_experiment
 from wrod.deployment.result import deployment_error
 from wrod.errors import DataError
 from wrod.identification.clamped.loading import measurements_from_arrays
+
+
+@pytest.fixture(autouse=True)
+def grown_in_few_steps(monkeypatch):
+    """What is hidden in clamped rods: to so little they follow."""
+    monkeypatch.setattr("wrod.bench.loop_run.measured", partial(measured, steps=3))
 
 
 def test_synthetic_measurements_show_the_true_rod():

@@ -18,6 +18,7 @@ from wrod.rods.profile import Profile
 
 ROD = RodMaterial(0.0018, 0.06, 0.5, density=1500.0)
 B = ROD.bending_stiffness
+STEPS = 3  # in which a small effect grows: rods follow
 
 
 def around(s, place, width):
@@ -50,7 +51,8 @@ def hanging(rod, *, trials=12, markers=31, seed=0):
 
 
 def made(experiment, seed=0, trials=12):
-    return measurements_from_arrays(measured(hanging(ROD, seed=seed, trials=trials), experiment))
+    hung = hanging(ROD, seed=seed, trials=trials)
+    return measurements_from_arrays(measured(hung, experiment, steps=STEPS))
 
 
 class Thread(Effect):
@@ -89,8 +91,9 @@ def test_predictions_are_of_second_order(bent):
         return position
 
     quiet = measured(
-        hanging(ROD, trials=4), replace(world_of(rod, ROD), see=see), noise=0.0, wrench_noise=False
-    )
+        hanging(ROD, trials=4), replace(world_of(rod, ROD), see=see), noise=0.0,
+        wrench_noise=False, steps=STEPS,
+    )  # fmt: skip
     measurements = measurements_from_arrays(quiet)
 
     def errors(edges):
