@@ -75,13 +75,16 @@ def test_slopes_of_the_likelihood_are_limits_of_differences(width):
     rng = np.random.default_rng(2)
     own, scatter = columns(rng)
     read, residual = np.ones((TRIALS, READINGS), dtype=bool), rng.normal(size=(TRIALS, READINGS))
+    read[3, 30:33] = read[5, 60:66] = read[7, 30:33] = False
     likelihood = _Restricted(ARC, read, residual, own[..., :width], scatter)
-    along, sizes = (0.9, 0.4, 0.03), rng.uniform(0.1, 2.0, len(COLUMNS))
-    numeric = [
-        likelihood.value(*along, sizes * np.exp(h)) - likelihood.value(*along, sizes / np.exp(h))
-        for h in 1e-5 * np.eye(len(COLUMNS))
-    ]
-    slope = likelihood.slope(*along, sizes)
+    at = np.log([0.9, 1.0, 0.03, *rng.uniform(0.1, 2.0, len(COLUMNS))])
+    at[1] = 0.4
+
+    def value(p):
+        return likelihood.value(np.exp(p[0]), p[1], np.exp(p[2]), np.exp(p[3:]))
+
+    numeric = [value(at + h) - value(at - h) for h in 1e-5 * np.eye(len(at))]
+    slope = likelihood.slope(np.exp(at[0]), at[1], np.exp(at[2]), np.exp(at[3:]))
     np.testing.assert_allclose(np.array(numeric) / 2e-5, slope, atol=1e-7 * np.abs(slope).max())
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import approx_fprime, minimize
+from scipy.optimize import minimize
 
 from wrod.identification.effect import Model, effects
 
@@ -114,6 +114,14 @@ def _along(size, share, length, arc_length) -> np.ndarray:
         return size**2 * np.eye(count)
     apart = np.abs(arc_length[:, None] - arc_length[None])
     return size**2 * ((1.0 - share) * np.eye(count) + share * np.exp(-apart / length))
+
+
+def _rates_along(size, share, length, arc_length) -> np.ndarray:
+    """(3, M, M) derivatives by the logarithm of the size, the share and that of the length."""
+    apart = np.abs(arc_length[:, None] - arc_length[None]) / length
+    like, alone = np.exp(-apart), np.eye(len(apart))
+    own = 2.0 * ((1.0 - share) * alone + share * like)
+    return size**2 * np.stack([own, like - alone, share * apart * like])
 
 
 def outliers_of(residual: np.ndarray, noise: float) -> np.ndarray:
@@ -231,11 +239,15 @@ class _Restricted:
         self.arc_length, self.count = arc_length, len(arc_length)
         mask = read[..., None]
         self.columns = np.concatenate([residual[..., None], own, scatter], axis=2) * mask
-        self.full = bool(read.all())
-        self.read, self.width = read, own.shape[2]
-        self.columns[:, :, 1 + self.width :] *= np.repeat(_SCALES, COLUMNS)
+        width = 1 + own.shape[2]
+        self.own, self.others = slice(width), slice(width, None)
+        # Trials that lack the same markers, and the markers that they have.
+        kinds, kind = np.unique(read[:, : 3 * self.count : 3], axis=0, return_inverse=True)
+        alike = [np.flatnonzero(kind.ravel() == k) for k in range(len(kinds))]
+        self.alike = list(zip(alike, map(np.flatnonzero, kinds), strict=True))
+        self.columns[:, :, self.others] *= np.repeat(_SCALES, COLUMNS)
         self.span = float(arc_length[-1] - arc_length[0])
-        self._last: tuple[tuple, tuple[np.ndarray, float]] | None = None
+        self._last: tuple[tuple, tuple] | None = None
 
     def best(self) -> NoiseModel:
         """The likeliest noise among white, correlated, scattered and both, each paid for."""
@@ -249,7 +261,7 @@ class _Restricted:
             correlated, scattered = kinds
             likeliest = self._least(
                 lambda p, k=kinds: self._read(p, *k), first * correlated + small * scattered,
-                along * correlated + groups * scattered, np.full(len(small), scattered),
+                along * correlated + groups * scattered, np.repeat(kinds, (3, len(small))),
             )  # fmt: skip
             size, share, length, own = self._read(likeliest, *kinds)
             # A scatter that does nothing is none.
@@ -269,11 +281,10 @@ class _Restricted:
         their logarithms."""
         size, seen = np.array(noise.scatter) / _SCALES, np.flatnonzero(noise.scatter)
         along = noise.size, noise.share, noise.length or 1.0
-
         # A scatter is known to a few per cent at best; the likelihood's own digits end far below.
         ends = np.exp(0.01 * np.eye(len(size))[seen])
         slopes = [self.slope(*along, size * e) - self.slope(*along, size / e) for e in ends]
-        curvature = np.reshape(slopes, (-1, len(size)))[:, seen] / 0.02
+        curvature = np.reshape(slopes, (-1, 3 + len(size)))[:, 3 + seen] / 0.02
         errors = np.zeros(len(size))
         errors[seen] = np.sqrt(np.maximum(np.diag(np.linalg.inv(0.5 * curvature)), 0.0))
         return errors * size * _SCALES
@@ -306,95 +317,84 @@ class _Restricted:
 
         bounds = [(np.log(_NO_SCATTER), np.log(30.0))] * np.count_nonzero(seen)
         first = np.log(scatter[seen])
-        return sizes(self._least(lambda p: (*along, sizes(p)), first, bounds, seen))
+        asked = np.append([False] * 3, seen)
+        return sizes(self._least(lambda p: (*along, sizes(p)), first, bounds, asked))
 
-    def _least(self, read, first, bounds, groups) -> np.ndarray:
+    def _least(self, read, first, bounds, asked) -> np.ndarray:
         """Where the likelihood is best within bounds, after 30 steps at most. `read` gives the
-        noise of unknowns, the last of which are the logarithms of the scatters of `groups`."""
-
-        def value(p):
-            return self.value(*read(p))
-
-        def slope(p):
-            along, rest = np.split(p, [len(p) - np.count_nonzero(groups)])
-            known = self.slope(*read(p))[groups] if len(rest) else rest
-            if len(along):
-                # SciPy's own differences refuse a place that rounding has put beyond a bound.
-                along = approx_fprime(along, lambda a: value(np.append(a, rest)), 1e-8)
-            return np.append(along, known)
-
-        how = {"method": "L-BFGS-B", "jac": slope, "bounds": bounds, "options": {"maxiter": 30}}
-        return minimize(value, first, **how).x
+        noise of unknowns, which are those of `slope` that are `asked`."""
+        return minimize(
+            lambda p: self.value(*read(p)), first, method="L-BFGS-B", bounds=bounds,
+            jac=lambda p: self.slope(*read(p), along=asked[0])[asked], options={"maxiter": 30},
+        ).x  # fmt: skip
 
     def _read(self, p, correlated, scattered):
-        size, share, length = 1.0, 0.0, 1.0
-        if correlated:
-            size, share, length = np.exp(p[0]), p[1], np.exp(p[2])
+        along = (np.exp(p[0]), p[1], np.exp(p[2])) if correlated else (1.0, 0.0, 1.0)
         scatter = np.exp(p[3 * correlated :]) if scattered else np.zeros(len(SCATTER))
-        return size, share, length, scatter
+        return *along, scatter
 
     def value(self, size, share, length, scatter) -> float:
         """-2 log of the restricted likelihood, up to a constant."""
-        products, log_det = self._products(size, share, length)
-        width = self.width
-        gram = products[:, : 1 + width, : 1 + width]
+        products, log_det, *_ = self._products(size, share, length)
+        gram = products[:, self.own, self.own]
         if np.any(scatter):
             u = np.repeat(scatter, COLUMNS)[:, None]
-            inner = np.eye(len(u)) + u * products[:, 1 + width :, 1 + width :] * u.T
-            cross = u * products[:, 1 + width :, : 1 + width]
+            inner = np.eye(len(u)) + u * products[:, self.others, self.others] * u.T
+            cross = u * products[:, self.others, self.own]
             gram = gram - cross.mT @ np.linalg.solve(inner, cross)
             log_det += float(np.linalg.slogdet(inner)[1].sum())
         gram = gram.sum(axis=0)
-        matrix = gram[1:, 1:] + np.eye(width)
+        matrix = gram[1:, 1:] + np.eye(len(gram) - 1)
         square = gram[0, 0] - gram[0, 1:] @ np.linalg.solve(matrix, gram[0, 1:])
         return float(square + log_det + np.linalg.slogdet(matrix)[1])
 
-    def slope(self, size, share, length, scatter) -> np.ndarray:
-        """(7,) derivatives of `value` by the logarithms of the scatters."""
-        products, _ = self._products(size, share, length)
-        own, others = slice(1 + self.width), slice(1 + self.width, None)
-        u = np.repeat(scatter, COLUMNS)[:, None]
-        between, among = products[:, others, own], products[:, others, others] * u.T
-        inner = np.eye(len(u)) + u * among
-        solved = np.linalg.solve(inner, u * between)
-        gram = (products[:, own, own] - (u * between).mT @ solved).sum(axis=0)
+    def slope(self, size, share, length, scatter, *, along: bool = True) -> np.ndarray:
+        """(10,) derivatives of `value` by the logarithm of the size, the share, the logarithm of
+        the length (0 unless `along`) and those of the scatters."""
+        products, _, x, roots = self._products(size, share, length)
+        weights = self._weights(products, scatter)
+        by_column = 2.0 * np.einsum("tij,tji->i", products, weights)[self.others]
+        by_along = np.zeros((self.count, self.count))
+        for (trials, own), root in zip(self.alike, roots, strict=True) if along else ():
+            mine = x[trials][:, : 3 * self.count].reshape(len(trials), self.count, 3, -1)[:, own]
+            moved = mine @ weights[trials][:, None]
+            square = np.tensordot(moved, mine, axes=((0, 2, 3), (0, 2, 3)))
+            left = 3.0 * len(trials) * np.eye(len(own)) - square
+            by_along[np.ix_(own, own)] += root.T @ left @ root
+        rates = _rates_along(size, share, length, self.arc_length)
+        scattered = np.add.reduceat(by_column, np.cumsum((0, *COLUMNS[:-1])))
+        return np.append(np.einsum("kij,ij->k", rates, by_along), scattered)
+
+    def _weights(self, products, scatter) -> np.ndarray:
+        """(t, 1 + P + 15, same) derivatives of `value` by the products of columns."""
+        own, others, u = self.own, self.others, np.repeat(scatter, COLUMNS)[:, None]
+        inverse = u * np.linalg.inv(np.eye(len(u)) + u * products[:, others, others] * u.T) * u.T
+        left = np.eye(products.shape[1])[:, own] + np.zeros((len(products), 1, 1))
+        left[:, others] = -inverse @ products[:, others, own]
+        gram = (products[:, own] @ left).sum(axis=0)
         weight = np.zeros_like(gram)
-        weight[1:, 1:] = np.linalg.inv(gram[1:, 1:] + np.eye(self.width))
+        weight[1:, 1:] = np.linalg.inv(gram[1:, 1:] + np.eye(len(gram) - 1))
         least = np.append(1.0, -weight[1:, 1:] @ gram[1:, 0])
-        weight += np.outer(least, least)
-        # M = 1 + U S U and its solutions A = M^-1 U C change both terms by the rows of C - S U A.
-        by_gram = ((between - among @ solved) @ weight * solved).sum(axis=(0, 2))
-        by_inner = np.einsum("tij,tji->i", among, np.linalg.inv(inner))
-        by_column = 2.0 * u[:, 0] * (by_inner - by_gram)
-        return np.add.reduceat(by_column, np.cumsum((0, *COLUMNS[:-1])))
+        out = left @ (weight + np.outer(least, least)) @ left.mT
+        out[:, others, others] += inverse
+        return out
 
-    def _products(self, size, share, length) -> tuple[np.ndarray, float]:
-        """(t, 1 + P + 15, 1 + P + 15) products of columns in independent readings, and the log
-        determinant of the common covariance; those of the last noise along the rod are kept."""
-        along = size, share, length
-        if self._last is None or self._last[0] != along:
-            x, log_det = self._whitened(_along(size, share, length, self.arc_length))
-            self._last = along, (x.mT @ x, log_det)
-        return self._last[1]
-
-    def _whitened(self, along):
-        """Columns in independent readings, and the log determinant of the common covariance."""
-        c = 3 * self.count
-        x = self.columns.copy()
-        trials = len(x)
-        markers = x[:, :c].reshape(trials, self.count, 3, -1)
-        if self.full:
-            factor = np.linalg.cholesky(along)
-            apart = np.linalg.inv(factor) @ markers.reshape(trials, self.count, -1)
-            x[:, :c] = apart.reshape(trials, c, -1)
-            return x, float(6.0 * trials * np.log(np.diag(factor)).sum())
-        log_det = 0.0
-        for t in range(trials):
-            own = self.read[t, :c:3]
+    def _products(self, size, share, length) -> tuple:
+        """((t, 1 + P + 15, same) products of columns in independent readings, the log determinant
+        of the common covariance, the columns (t, R, 1 + P + 15), and by what those of the markers
+        were multiplied, of each of `alike`); those of the last noise along the rod are kept."""
+        known = size, share, length
+        if self._last is not None and self._last[0] == known:
+            return self._last[1]
+        along, x, log_det, roots = _along(*known, self.arc_length), self.columns.copy(), 0.0, []
+        markers = x[:, : 3 * self.count].reshape(len(x), self.count, 3, -1)
+        for trials, own in self.alike:
             factor = np.linalg.cholesky(along[np.ix_(own, own)])
-            log_det += 6.0 * float(np.log(np.diag(factor)).sum())
-            mine = markers[t][own]
-            apart = np.linalg.inv(factor) @ mine.reshape(len(mine), -1)
-            markers[t][own] = apart.reshape(mine.shape)
-        x[:, :c] = markers.reshape(trials, c, -1)
-        return x, log_det
+            log_det += 6.0 * len(trials) * float(np.log(np.diag(factor)).sum())
+            roots.append(np.linalg.inv(factor))
+            mine = markers[np.ix_(trials, own)]
+            apart = roots[-1] @ mine.reshape(len(trials), len(own), -1)
+            markers[np.ix_(trials, own)] = apart.reshape(mine.shape)
+        x[:, : 3 * self.count] = markers.reshape(len(x), 3 * self.count, -1)
+        self._last = known, (x.mT @ x, log_det, x, roots)
+        return self._last[1]
