@@ -179,6 +179,22 @@ def test_derivatives_are_exact(laboratory, names):
         assert np.abs(numeric).max() > 0.0
 
 
+def test_candidates_side_by_side_have_the_rates_that_each_has_alone(laboratory):
+    """Laws that only some of the rods of a batch have are differenced there alone."""
+    models = [
+        Model((effects()[name],))
+        for name in ("stiffness", "bend_twist", "natural_curvature", "yielding", "clamp_rotation")
+    ]
+    values = [probe(model.effects[0]) for model in models]
+    solver = ClampedSolver([laboratory.base] * len(models), start=laboratory.base_state)
+    setups = [m.setup(laboratory.base, v) for m, v in zip(models, values, strict=True)]
+    assert solver.solve(setups).all()
+    together = laboratory.rates(solver, models, values, laboratory.base)
+    for model, own, found in zip(models, values, together, strict=True):
+        alone = laboratory.jacobian(model, own)[1]
+        assert np.abs(found - alone).max() < 1e-6 * np.abs(alone).max()
+
+
 def test_turned_principal_directions_do_no_work_on_a_round_rod(laboratory):
     """They turn all along the rod: it stays in equilibrium, and a state put back knows its own."""
     base = laboratory.base

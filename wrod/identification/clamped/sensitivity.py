@@ -40,11 +40,6 @@ _SEEN_BY_YIELD = {
     "bending_stiffness": "bending",
     "natural_curvature": "natural_curvature",
 }
-# What the elastic energy of a law of bending depends on: loads, poses and cameras move none of it.
-_ELASTIC = (
-    "rest_length", "stretching_stiffness", "bending_stiffness", "twisting_stiffness",
-    "natural_curvature", "natural_twist", "softening",
-)  # fmt: skip
 # Share of these, and of the law's numbers, over which it is differenced.
 _DIFFERENCE = 1e-5
 
@@ -157,10 +152,11 @@ class Sensitivity:
         laws = [inelastic_of(setups) for setups in rates]
         # A law whose share begins at nothing is there in its own column only.
         yielding, rate = np.max(np.real(laws), axis=0), _rates_of(laws)
-        if yielding[..., 0].any():
-            for column in range(len(rates)):
-                own = {name: moved[name][:, column] for name in _SEEN_BY_YIELD}
-                self._add_yielding_rate(yielding, rate[:, column], own, out[:, column])
+        there = yielding[..., 0].any(axis=1)
+        for column in range(len(rates)) if there.any() else ():
+            own = {name: moved[name][:, column] for name in _SEEN_BY_YIELD}
+            if any(r[there].any() for r in (rate[:, column], *own.values())):
+                self._add_yielding_rate(there, yielding, rate[:, column], own, out[:, column])
         return out
 
     def _elastic_rates(self, model: dict, moved: dict) -> np.ndarray:
@@ -168,7 +164,7 @@ class Sensitivity:
         arrays, (rod, column, ...)."""
         batch, device, state = self.batch, self.device, self.batch.state
         rods, nodes, count = batch.rod_count, batch.node_count, moved["rest_length"].shape[1]
-        if not any(moved[name].any() for name in _ELASTIC):
+        if not any(v.any() for n, v in moved.items() if n not in ("node_mass", "gravity")):
             return np.zeros((rods, count, batch.dof_count))
 
         def zeros(dtype, *shape):
@@ -213,21 +209,22 @@ class Sensitivity:
         batch, device = self.batch, self.device
         model = batch.elastic_model
 
-        def add(number, factor, **moved):
-            out[:] += factor * self._gradient_of(bend_twist_energy, number, **moved)
+        def add(there, number, factor, **moved):
+            out[:] += factor * self._gradient_of(bend_twist_energy, there, number, **moved)
 
         def shifted(name, change):
             known = getattr(model, name)
             return wp.array(known.numpy() + change, dtype=known.dtype, device=device)
 
-        if coupling_rate.any():
-            add(wp.array(coupling_rate, dtype=wp.vec2d, device=device), 1.0)
+        if (there := coupling_rate.any(axis=(1, 2))).any():
+            add(there, wp.array(coupling_rate, dtype=wp.vec2d, device=device), 1.0)
         length = ("rest_length",)
         for kernel, coupling in batch.energies:
             if kernel is not bend_twist_energy:
                 continue
+            there = coupling.numpy().any(axis=(1, 2))
             for moving, least in ((("natural_curvature", "natural_twist"), 1.0), (length, 1e-4)):
-                rates = {n: rate[n] for n in moving}
+                rates = {n: (rate[n].T * there).T for n in moving}
                 largest = max(np.abs(r).max() for r in rates.values())
                 if largest == 0.0:
                     continue
@@ -236,13 +233,14 @@ class Sensitivity:
                     h *= float(batch.rest_length.numpy().max())
                 for sign in (1.0, -1.0):
                     moved = {n: shifted(n, sign * h * r) for n, r in rates.items()}
-                    add(coupling, 0.5 * sign / h, **moved)
+                    add(there, coupling, 0.5 * sign / h, **moved)
 
-    def _add_yielding_rate(self, number, number_rate, rate: dict, out: np.ndarray) -> None:
+    def _add_yielding_rate(self, there, number, number_rate, rate: dict, out: np.ndarray) -> None:
         """What a law that yields adds to a column of `_gradient_rates`, by central differences at
         the present strains: moments have kinks there, but between them they are smooth.
 
         Args:
+            there: (rod,) whether a rod has one.
             number: (rod, node, 4) of the law, and `number_rate`.
             rate: of what `_SEEN_BY_YIELD`.
         """
@@ -267,17 +265,22 @@ class Sensitivity:
                 here = shifted(known[name], r, sign)
                 moved[_SEEN_BY_YIELD[name]] = wp.array(here, dtype=array.dtype, device=self.device)
             law = never_bent(batch, shifted(number, number_rate, sign))
-            out += 0.5 * sign / step[:, None] * self._gradient_of(inelastic_energy, law, **moved)
+            out += (
+                0.5
+                * sign
+                / step[:, None]
+                * self._gradient_of(inelastic_energy, there, law, **moved)
+            )
 
-    def _gradient_of(self, kernel: wp.Kernel, number: wp.array, **moved: wp.array) -> np.ndarray:
-        """(rod, dof) gradient of an energy of the section, with some of the model's arrays in other
-        values."""
+    def _gradient_of(self, kernel, there: np.ndarray, number: wp.array, **moved) -> np.ndarray:
+        """(rod, dof) gradient of an energy of the section of those rods that are `there`, with some
+        of the model's arrays in other values."""
         batch, state = self.batch, self.batch.state
         part = wp.zeros_like(batch.derivatives.gradient)
         batch.launch(
             kernel,
             (batch.rod_count, batch.node_count - 2),
-            [with_arrays(batch.elastic_model, **moved), number, batch.every_rod]
+            [with_arrays(batch.elastic_model, **moved), number, batch.array(there, wp.int32)]
             + [state.dof, state.director, state.reference_twist, 1],
             [wp.zeros_like(batch.derivatives.energy), part, batch.derivatives.hessian],
         )
