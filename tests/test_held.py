@@ -26,18 +26,18 @@ MEASURED = Path(__file__).parents[2] / "shared" / "measured"
 ANGLES = np.radians([-120.0, -60.0, -20.0, 20.0, 60.0, 120.0])
 
 
-def cable(tip=0.05, name="made", **markers_of):
-    none = np.zeros((len(ANGLES), 2))
+def cable(tip=0.05, name="made", angles=ANGLES, **markers_of):
+    none = np.zeros((len(angles), 2))
     values = {"mid": none, "end": none} | markers_of
-    return HeldCable(name, ANGLES, values["mid"], values["end"], 0.4, 0.02, 0.4, tip, 9.81)
+    return HeldCable(name, angles, values["mid"], values["end"], 0.4, 0.02, 0.4, tip, 9.81)
 
 
-def measured(model_at, tip, noise=0.0, seed=0):
+def measured(model_at, tip, noise=0.0, seed=0, angles=ANGLES):
     """A cable whose markers a model says, with noise."""
     one = cable(tip)
-    places = markers([(one, float(a), model_at(a)) for a in ANGLES])[0]
+    places = markers([(one, float(a), model_at(a)) for a in angles])[0]
     places = places + noise * np.random.default_rng(seed).standard_normal(places.shape)
-    return cable(tip, mid=places[:, 0], end=places[:, 1])
+    return cable(tip, angles=angles, mid=places[:, 0], end=places[:, 1])
 
 
 def test_a_stiff_cable_droops_as_a_beam():
@@ -83,7 +83,10 @@ def test_stiffness_bend_and_lag_are_found():
 def test_a_cable_that_yields_is_found_and_the_lag_is_its_print():
     """A constant lag is all that friction leaves of it once it has slipped."""
     truth = CableModel(0.11, -1.5, friction=0.6, kept=0.3)
-    sets = [measured(lambda _: truth, tip, 5e-4, seed) for seed, tip in enumerate((0.03, 0.23))]
+    few = ANGLES[[0, 2, 3, 5]]
+    sets = [
+        measured(lambda _: truth, tip, 5e-4, seed, few) for seed, tip in enumerate((0.03, 0.23))
+    ]
     fit = fit_held(sets, ("curvature", "yielding"))
     said = dict(zip(fit.names, fit.values, strict=True))
     error = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))

@@ -261,6 +261,7 @@ def test_no_effect_is_adequate(plain):
     assert report.after < 1.1 * report.noise_floor
 
 
+@pytest.mark.usefixtures("on_coarse_meshes")
 def test_two_effects_are_found_together(tmp_path):
     def apply(setup):
         setup.natural_curvature = setup.natural_curvature + np.array([2.0, -3.0])
