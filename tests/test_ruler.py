@@ -78,8 +78,7 @@ def test_overhang_gives_the_rod_back_and_its_error():
     assert found.warning is None
     rng = np.random.default_rng(0)
     few = [
-        measure_overhang(*(np.array([overhang, fall]) + rng.normal(0.0, 5e-4, 2)))
-        for _ in range(12)
+        measure_overhang(*(np.array([overhang, fall]) + rng.normal(0.0, 5e-4, 2))) for _ in range(8)
     ]
     spread = np.std([m.gravito_bending_length for m in few], ddof=1)
     assert 0.5 < spread / found.error < 1.7

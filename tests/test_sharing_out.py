@@ -43,7 +43,7 @@ def short():
     return pattern, rod, wrod.plan(pattern, rod, "intuitive", spacing=0.05)
 
 
-COARSE = dict(discretisation=wrod.Discretisation(0.05, 0.05), speed=0.2)
+COARSE = dict(discretisation=wrod.Discretisation(0.05, 0.05), speed=0.4)
 
 
 def test_what_a_thread_prepares_is_recorded_by_no_other(short, monkeypatch):
