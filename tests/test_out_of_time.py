@@ -15,6 +15,8 @@ from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.noise import NoiseModel
+from wrod.identification.clamped.steps import base_fit
+from wrod.identification.clamped.verdict import judge
 from wrod.identification.effect import Model, effects
 
 
@@ -64,8 +66,8 @@ def test_what_was_judged_stays_where_another_model_takes_too_long(bent, monkeypa
         raise OutOfTime
 
     laboratory = Laboratory(measurements_from_arrays(bent), edge_count=30)
-    only = [effects()["stiffness"]]
-    found = selection.select(laboratory, only)
+    only, empty = [effects()["stiffness"]], base_fit(laboratory)
+    found = judge(laboratory, empty, empty, [], (0.0, None))
     noise, laboratory.clock = laboratory.noise, Clock(600.0)
     monkeypatch.setattr(selection, "_another", another)
     again = selection._or_another(laboratory, only, found.fit, found)
