@@ -332,7 +332,7 @@ def test_a_part_of_another_effect_that_does_the_same_is_a_rival():
         setup.natural_twist = setup.natural_twist + 2.0
 
     names = ["natural_twist", "grip_rotation", "stiffness"]
-    report = identify(measurements_from_arrays(synthetic(apply)), candidates=names)
+    report = identify(measurements_from_arrays(synthetic(apply, trials=8)), candidates=names)
     assert [e.name for e in report.effects] == ["natural_twist"]
     assert [c["effects"] for c in report.selection.confounded] == [
         ["natural_twist", "grip_rotation"]
@@ -345,7 +345,7 @@ def test_what_contains_the_chosen_effect_is_no_rival():
         setup.bending, setup.twisting = 1.3 * setup.bending, 1.3 * setup.twisting
 
     names = ["stiffness", "stiffness_gradient", "gravity_tilt"]
-    report = identify(measurements_from_arrays(synthetic(apply)), candidates=names)
+    report = identify(measurements_from_arrays(synthetic(apply, trials=8)), candidates=names)
     assert [e.name for e in report.effects] == ["stiffness"]
     assert report.selection.confounded == []
 
@@ -424,7 +424,8 @@ def test_a_users_own_effect_takes_part():
         Magnet().apply(setup, np.array([0.02]))
 
     report = identify(
-        measurements_from_arrays(synthetic(apply)), candidates=[Magnet(), "natural_curvature"]
+        measurements_from_arrays(synthetic(apply, trials=8)),
+        candidates=[Magnet(), "natural_curvature"],
     )
     assert report.verdict == "explained"
     assert [e.name for e in report.effects] == ["magnet"]
