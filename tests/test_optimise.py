@@ -324,9 +324,10 @@ def test_a_step_that_kept_its_promise_is_followed_by_a_longer_one(share, reached
 
 
 def test_steps_go_on_only_where_they_save_much_and_much_is_left():
+    near = 5.4 / descent._NEAR
     # Each saves what it promises, all from far away; from near the second is not laid by itself.
     np.testing.assert_allclose(_descended(1.0, 1.0), [0.0, 0.35, 1.05, 2.0])
-    np.testing.assert_allclose(_descended(1.0, 90.0), [0.0, 0.35, 1.05])
+    np.testing.assert_allclose(_descended(1.0, near), [0.0, 0.35, 1.05])
     # Each saves less than a fifth: the second is laid, and one more is the last.
     np.testing.assert_allclose(_descended(1.0, 1.0, floor=12.0), [0.0, 0.35, 1.05, 2.0])
     np.testing.assert_allclose(_descended(1.0, 1.0, False, 12.0), [0.0, 0.35, 1.05])
@@ -334,8 +335,8 @@ def test_steps_go_on_only_where_they_save_much_and_much_is_left():
     # is promised than a twentieth.
     np.testing.assert_allclose(_descended(0.3, 1.0), [0.0, 0.35, 0.525])
     # From near, too, one that comes after such a step is laid before it is taken for the last.
-    np.testing.assert_allclose(_descended(1.0, 90.0, beside=0), [0.0, 0.35])
-    np.testing.assert_allclose(_descended(0.3, 90.0, beside=0), [0.0, 0.35, 0.525])
+    np.testing.assert_allclose(_descended(1.0, near, beside=0), [0.0, 0.35])
+    np.testing.assert_allclose(_descended(0.3, near, beside=0), [0.0, 0.35, 0.525])
 
 
 def test_from_far_off_bends_are_corrected_one_after_the_other():

@@ -47,7 +47,7 @@ _LONGER, _KEPT_PROMISE, _SHORT = 2.0, 0.5, 0.5
 # Steps of a plan at least, and at most: further ones where the last but one saved this part of the
 # error. A step from so near [L_gb] is not laid by itself, unless the one before saved too little of
 # what it promised: what more steps save from there on, on fine meshes too, unseen rods do not feel.
-_STEPS, _MORE, _SAVED, _NEAR = 2, 6, 0.2, 0.06
+_STEPS, _MORE, _SAVED, _NEAR = 2, 6, 0.2, 0.03
 # Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
 _TOLERANCE = 5e-3
 # Numbers of nodes are multiples of this, so that a GPU lays many plans in few batches; and those of
