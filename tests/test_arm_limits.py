@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from wrod.commands.plan_steps import within_speed
 from wrod.errors import RobotError
@@ -31,14 +32,16 @@ def test_excess_is_what_inverse_kinematics_needs_beyond_the_limits(path):
     arm, given = path
     limits = ArmLimits(given)
     rng = np.random.default_rng(0)
-    displacement = 0.004 * rng.standard_normal((12, 3))
+    moves = np.hstack([0.004 * rng.standard_normal((12, 3)), 0.01 * rng.standard_normal((12, 3))])
     poses = grasp_poses(arm, given.node_positions)
-    poses[:, :3, 3] += displacement @ given.placement.base_from_world[:3, :3].T
+    base = given.placement.base_from_world[:3, :3]
+    poses[:, :3, 3] += moves[:, :3] @ base.T
+    poses[:, :3, :3] = Rotation.from_rotvec(moves[:, 3:] @ base.T).as_matrix() @ poses[:, :3, :3]
     q, error = refine(arm, given.node_positions, poses)
     assert np.abs(error).max() < 1e-9
     reach = 0.5 * (1.85 - given.robot.lower[2]) - 0.05
     beyond = np.abs(q[:, 2] - 0.5 * (1.85 + given.robot.lower[2])) / reach - 1.0
-    excess, _ = limits.excess(displacement)
+    excess, _ = limits.excess(moves)
     wanted = beyond[beyond > 1e-3]
     assert len(wanted) > 3
     np.testing.assert_allclose(np.sort(excess)[-len(wanted) :], np.sort(wanted), atol=1e-3)
@@ -48,8 +51,8 @@ def test_nothing_is_asked_of_an_arm_that_is_not_near_its_limits(path):
     _, given = path
     limits = ArmLimits(given)
     limits.reach = np.full(6, 10.0)
-    excess, rates = limits.excess(np.zeros((12, 3)))
-    assert excess.shape == (0,) and rates.shape == (0, 12, 3)
+    excess, rates = limits.excess(np.zeros((12, 6)))
+    assert excess.shape == (0,) and rates.shape == (0, 12, 6)
 
 
 def test_speeds_count_and_derivatives_are_limits_of_differences(path):
@@ -57,7 +60,7 @@ def test_speeds_count_and_derivatives_are_limits_of_differences(path):
     limits = ArmLimits(given)
     limits.velocity = np.full(6, 0.1)  # 0.2 rad in 1.1 s is faster
     rng = np.random.default_rng(1)
-    at, way = 0.002 * rng.standard_normal((2, 12, 3))
+    at, way = 0.002 * rng.standard_normal((2, 12, 6))
     excess, rates = limits.excess(at)
     assert len(excess) > 30
     ends = [limits.excess(at + sign * 1e-6 * way)[0] for sign in (1.0, -1.0)]

@@ -11,7 +11,7 @@ from cli import done
 import wrod
 from wrod.commands.plan_summary import _expectation
 from wrod.deployment import descent, together
-from wrod.deployment.corrections import Corrections
+from wrod.deployment.corrections import Corrections, between
 from wrod.deployment.descent import State, TableTask, descend
 from wrod.deployment.expectation import (
     Unseen,
@@ -30,6 +30,7 @@ from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.deployment.together import Asked, _laid
 from wrod.errors import GraspError, PatternError
 from wrod.planning.pace import pace_of
+from wrod.planning.shapes import led_along
 from wrod.solvers.friction import Friction
 
 ROD = wrod.RodMaterial(0.0016, 0.032, 0.36)
@@ -61,7 +62,9 @@ def test_a_corrected_plan_lays_better_than_the_best_grasps(bend):
     # Smooth: no contact node moves the grip by more than a third of a millimetre off its course.
     bent = np.diff(corrected.position - trajectory.position, 2, axis=0)
     assert np.abs(bent).max() < 1e-3
-    np.testing.assert_array_equal(corrected.rotation, trajectory.rotation)
+    turned = between(trajectory, corrected)[:, 3:]
+    assert said["largest_turn"] == pytest.approx(np.linalg.norm(turned, axis=1).max())
+    assert 1e-3 < said["largest_turn"] < 0.5 and np.abs(np.diff(turned, 2, axis=0)).max() < 5e-3
 
 
 def test_the_command_says_what_is_expected(bend, tmp_path):
@@ -96,7 +99,7 @@ def test_what_cannot_be_laid_is_told_with_the_friction_that_it_takes(bend):
     assert held == []
     lines = "\n".join(_expectation(expected, None))
     assert "m, up to the largest friction asked for" in lines
-    said = dict(errors=[0.1, 0.1], kept=False, pace=0.04, largest_correction=0.0, rougher=needed)
+    said = dict(errors=[0.1, 0.1], kept=False, pace=0.04, rougher=needed)
     lines = "\n".join(_expectation(expected, said))
     assert f"m, and can be laid from friction {needed[0]:.2g} on" in lines
     none = said | {"rougher": [None] * len(needed)}
@@ -106,14 +109,41 @@ def test_what_cannot_be_laid_is_told_with_the_friction_that_it_takes(bend):
 def test_columns_are_what_corrections_do(bend):
     pattern, trajectory = bend
     corrections = Corrections(pattern, trajectory, ROD.gravito_bending_length, 0.05)
-    values = np.random.default_rng(0).standard_normal(3 * corrections.count)
+    values, way = 0.3 * np.random.default_rng(0).standard_normal((2, corrections.count))
     by_columns = np.einsum("c,ctd->td", values, corrections.columns())
-    moved = corrections.apply(values).position - trajectory.position
-    np.testing.assert_allclose(by_columns[:, :3], moved, atol=1e-12)
-    assert not by_columns[:, 3:].any()
-    # The rod ends at the grip still.
-    shape = corrections.apply(values).shape
-    np.testing.assert_allclose(shape[:, -1] - trajectory.shape[:, -1], moved, atol=1e-12)
+    corrected = corrections.apply(values)
+    np.testing.assert_allclose(by_columns, between(trajectory, corrected), atol=1e-12)
+    np.testing.assert_allclose(by_columns, corrections.moves(values), atol=1e-12)
+    ahead, behind = (corrections.apply(values + sign * 1e-6 * way) for sign in (1.0, -1.0))
+    rates = np.einsum("c,ctd->td", way, corrections.columns(values))
+    np.testing.assert_allclose(between(behind, ahead) / 2e-6, rates, atol=1e-8)
+    # The rod ends at the grip still, and along it as much as before.
+    before, after = trajectory.shape, corrected.shape
+    np.testing.assert_allclose(after[:, -1] - before[:, -1], by_columns[:, :3], atol=1e-12)
+    turn = corrected.rotation @ trajectory.rotation.swapaxes(1, 2)
+    last = led_along(before, 0.0 * by_columns[:, :3], turn)
+    old, new = (np.diff(one, axis=1)[:, -1] for one in (before, last))
+    unit = np.linalg.norm(old, axis=1, keepdims=True)
+    np.testing.assert_allclose(new / unit, np.einsum("tij,tj->ti", turn, old) / unit, atol=0.03)
+
+
+def test_what_lies_answers_to_turns_of_the_grip_as_their_columns_say(bend):
+    """Differences of whole deployments; the time law does not depend on turns."""
+    pattern, trajectory = bend
+    corrections = Corrections(pattern, trajectory, ROD.gravito_bending_length, 0.05)
+    values, way = 0.1 * np.random.default_rng(0).standard_normal((2, corrections.count))
+    way *= np.tile([0.0, 0.0, 0.0, 1.0, 1.0, 1.0], corrections.knots)
+
+    def laid(x, columns=None):
+        told = None if columns is None else [Directions.of_path(columns)]
+        trial = Trial(pattern, ROD, corrections.apply(x), Friction(0.4))
+        return lay([trial], told, discretisation=MESH)[0]
+
+    ahead, behind = (laid(values + sign * 1e-4 * way).centerline for sign in (1.0, -1.0))
+    along = np.tensordot(way, laid(values, corrections.columns(values)).tangent, 1)
+    largest = np.abs(along).max()
+    assert largest > 1e-3
+    np.testing.assert_allclose((ahead - behind) / 2e-4, along, atol=0.01 * largest)
 
 
 def test_a_plain_deployment_is_that_of_the_simulation(bend):
@@ -283,16 +313,16 @@ def test_no_step_is_made_by_derivatives_that_ran_away(bend):
 def test_a_grip_that_no_rod_reaches_counts_as_diverged(bend):
     pattern, trajectory = bend
     lgb = ROD.gravito_bending_length
-    corrections = Corrections(pattern, trajectory, lgb, 0.05)
+    corrections = Corrections(pattern, trajectory, lgb, 0.05, straight=True)
     spread = Spread.of(0.3)
     problem = descent.Problem(
         TableTask(pattern, ROD, trajectory, 0.3), corrections, spread, 1, True
     )
     s = np.linspace(0.0, pattern.length, 60)
     place = np.pad(pattern.sample(s)[0][:, :2], ((0, 0), (0, 1)))
-    rates = np.zeros((3 * corrections.count, 60, 3))
+    rates = np.zeros((corrections.count, 60, 3))
     laid = [Laid(s, place, rates, np.zeros(60), False, 1)]
-    values = np.zeros((corrections.count, 3))
+    values = np.zeros((corrections.knots, 3))
     assert np.isfinite(problem._state(values.ravel(), laid, np.inf).measure)
     values[-1] = 2.0 * ROD.length / lgb  # to the side of where the pattern ends
     assert problem._state(values.ravel(), laid, np.inf).measure == np.inf
@@ -304,7 +334,7 @@ def _descended(share: float, lgb: float, ahead: bool = True, floor: float = 0.0,
         is left."""
 
         alone, is_over = True, False
-        corrections = SimpleNamespace(count=1, lgb=lgb)
+        corrections = SimpleNamespace(count=3, lgb=lgb)
 
         def at(self, x):
             value = floor + 6.0 - share * (6.0 - 0.5 * float(np.sum((x - 2.0) ** 2)))
@@ -347,7 +377,7 @@ def test_from_far_off_bends_are_corrected_one_after_the_other():
     class Arm:
         alone, is_over = True, False
         cost, task = 1e-9 * np.eye(3), SimpleNamespace(pattern=SimpleNamespace(length=9.0))
-        corrections = SimpleNamespace(count=1, lgb=1.0)
+        corrections = SimpleNamespace(count=3, lgb=1.0)
 
         def fixed(self, before):
             return int(np.sum(3.0 * np.arange(3) < before))
@@ -401,7 +431,7 @@ def test_a_bend_is_not_given_up_for_a_step_that_was_damped():
     class Remote:
         alone, is_over = True, False
         cost, task = np.zeros((3, 3)), SimpleNamespace(pattern=SimpleNamespace(length=3.0))
-        corrections = SimpleNamespace(count=1, lgb=1.0)
+        corrections = SimpleNamespace(count=3, lgb=1.0)
 
         def fixed(self, before):
             return 0
@@ -424,7 +454,7 @@ def test_what_is_fixed_is_not_laid_again(bend):
     corrections = Corrections(pattern, trajectory, ROD.gravito_bending_length, 0.05)
     task, spread = TableTask(pattern, ROD, trajectory, 0.3), Spread.of(0.3)
     on, whole = (descent.Problem(task, corrections, spread, 2, True) for _ in range(2))
-    values = 0.1 * np.sin(np.arange(3.0 * corrections.count))
+    values = 0.1 * np.sin(np.arange(corrections.count))
     fixed = on.fixed(0.1)
     assert 0 < fixed < len(values)
     together.follow([on.at(values, pattern.length, fixed)])
@@ -487,8 +517,9 @@ def test_an_arm_follows_as_much_of_a_correction_as_it_can(bend):
 
     pattern, start = bend
     corrections = Corrections(pattern, start, ROD.gravito_bending_length, 0.05)
-    corrected = corrections.apply(np.full(3 * corrections.count, 0.5))
-    corrected.metadata["optimised"] = {"largest_correction": 0.016, "kept": True}
+    corrected = corrections.apply(np.full(corrections.count, 0.5))
+    told = corrections.largest(np.full(corrections.count, 0.5))
+    corrected.metadata["optimised"] = {**told, "kept": True}
     tried = []
 
     class Arm:
@@ -520,6 +551,8 @@ def test_an_arm_follows_as_much_of_a_correction_as_it_can(bend):
         assert followed.metadata["optimised"].get("share") == share
         moved = np.linalg.norm(followed.position - start.position, axis=1).max()
         assert moved == pytest.approx(most * (1.0 if share is None else share), abs=1e-12)
+        turned = np.linalg.norm(between(start, followed)[:, 3:], axis=1).max()
+        assert turned == pytest.approx(followed.metadata["optimised"]["largest_turn"], abs=1e-9)
     assert followed.metadata["optimised"]["largest_correction"] == 0.0
     with pytest.raises(UnreachedError):
         _followed(Arm(-1.0), corrected, softer)
@@ -528,16 +561,16 @@ def test_an_arm_follows_as_much_of_a_correction_as_it_can(bend):
 
 
 class _Wall:
-    """An arm that cannot displace its grip by more than a bound [m] along an axis (3,)."""
+    """An arm that cannot move its grip by more than bounds (6,) [m, rad]."""
 
-    def __init__(self, axis, bound):
-        self.axis, self.bound = axis, bound
+    def __init__(self, bounds):
+        self.bounds = bounds
 
-    def excess(self, displacement):
-        beyond = displacement @ self.axis / self.bound - 1.0
-        over = np.flatnonzero(beyond > 0.0)
-        rates = np.zeros((len(over), *displacement.shape))
-        rates[np.arange(len(over)), over] = self.axis / self.bound
+    def excess(self, moves):
+        beyond = np.abs(moves) / self.bounds - 1.0
+        over = np.nonzero(beyond > 0.0)
+        rates = np.zeros((len(over[0]), *moves.shape))
+        rates[np.arange(len(over[0])), *over] = (np.sign(moves) / self.bounds)[over]
         return beyond[over], rates
 
 
@@ -546,14 +579,12 @@ def test_corrections_stay_within_what_an_arm_can_do(bend):
 
     def found(limits):
         best = optimise(pattern, ROD, trajectory, 0.3, limits=limits, samples=1, judge=False)
-        return best.position - trajectory.position, best.metadata["optimised"]["errors"]
+        return between(trajectory, best), best.metadata["optimised"]["errors"]
 
     free, errors = found(None)
-    node, axis = np.unravel_index(np.abs(free).argmax(), free.shape)
-    most = abs(free[node, axis])
-    way = np.sign(free[node, axis]) * np.eye(3)[axis]
-    bound, less = found(_Wall(way, 0.5 * most))
-    assert most > 1e-3 and (bound @ way).max() < 0.55 * most
+    most = np.abs(free).max(axis=0)
+    bound, less = found(_Wall(0.3 * most))
+    assert (most > 1e-3).all() and (np.abs(bound).max(axis=0) < 0.35 * most).all()
     assert min(errors) < min(less) < less[0]
 
 

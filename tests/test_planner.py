@@ -477,11 +477,21 @@ def test_shapes_of_corrected_grips_end_at_them():
     circle = wrod.pattern("circle")
     start = wrod.plan(circle, ROD, "numeric", spacing=0.025, device="cpu")
     up = np.linspace(0.0, 0.03, len(start))[:, None] * [0.0, 0.0, 1.0]
+    turn = Rotation.from_rotvec(10.0 * up).as_matrix()
     said = {**start.metadata, "optimised": {"largest_correction": 0.03}}
-    plan = replace(start, position=start.position + up, shape=None, metadata=said)
+    plan = replace(
+        start,
+        position=start.position + up,
+        rotation=turn @ start.rotation,
+        shape=None,
+        metadata=said,
+    )
     shown = with_shapes(plan, circle, device="cpu")
     np.testing.assert_allclose(shown.shape[:, -1], plan.position, atol=1e-12)
     np.testing.assert_allclose(shown.shape[:, 0], start.shape[:, 0], atol=1e-9)
+    ends = np.diff(shown.shape, axis=1)[:, -1]
+    ends /= np.linalg.norm(ends, axis=1, keepdims=True)
+    np.testing.assert_allclose(ends, plan.rotation[..., 0], atol=0.05)
     assert "shapes" not in shown.metadata  # corrections are no error of a controller
 
 

@@ -58,7 +58,7 @@ def test_what_goes_on_lies_as_if_it_had_been_laid_whole(way, rod):
     remembered = LastDeployments()
     laid(pattern, way.until(0.18).path, None, remembered, rod=rod)
     corrections = way.corrections(pattern, LGB, 0.18, 0.28, 0.01)
-    values = np.zeros(3 * corrections.count)
+    values = np.zeros(corrections.count)
     values[4] = 0.05
     path, columns = GripWay(corrections.apply(values)).until(0.28).path, corrections.columns()
     on, whole = (laid(pattern, path, columns, one, rod=rod) for one in (remembered, None))

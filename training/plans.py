@@ -102,9 +102,9 @@ def solve(index: int, seed: int) -> Course[Sample | None]:
     if task is None:
         return None
     held, start = task.rod, task.trajectory
-    best = yield from course(task, judge=False, samples=_SAMPLES, hold=_HOLD)
+    best = yield from course(task, judge=False, samples=_SAMPLES, hold=_HOLD, straight=True)
     lgb = held.gravito_bending_length
-    corrections = Corrections(task.pattern, start, lgb, _HOLD)
+    corrections = Corrections(task.pattern, start, lgb, _HOLD, straight=True)
     moved = (best.position - start.position) / lgb
     values = corrections.nearest(np.einsum("tij,ti->tj", corrections.frame, moved))
     anchors = np.stack([np.zeros_like(values), values])
@@ -132,7 +132,8 @@ def visit(index: int, seed: int, sample: Sample, corrector: Corrector) -> Course
     task = task_of(index, seed)
     if task is None:
         return sample
-    corrections = Corrections(task.pattern, task.trajectory, task.rod.gravito_bending_length, _HOLD)
+    lgb = task.rod.gravito_bending_length
+    corrections = Corrections(task.pattern, task.trajectory, lgb, _HOLD, straight=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", WrodWarning)
         values = corrections.nearest(corrector.predict(_asked(task)))

@@ -113,7 +113,8 @@ def _expectation(expected: dict, optimised: dict | None) -> list[str]:
     )
     if optimised is not None:
         lines.append(
-            f"grip corrected by up to {1e3 * optimised['largest_correction']:.1f} mm, from "
+            f"grip corrected by up to {1e3 * optimised['largest_correction']:.1f} mm and "
+            f"{degrees(optimised['largest_turn']):.1f} degrees, from "
             f"{100 * optimised['errors'][0]:.2f} to {100 * min(optimised['errors']):.2f} cm over "
             "the rods that it was fitted to"
             if optimised["kept"]

@@ -84,9 +84,10 @@ class TableTask:
 class Limits(Protocol):
     """What the arm that is to follow a trajectory can do."""
 
-    def excess(self, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far displacements (T, 3) [m] of its poses take the arm beyond its limits, in parts of
-        these (m,), and the derivatives (m, T, 3) of that [1/m]; nothing where they do not."""
+    def excess(self, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far displacements [m] and rotation vectors [rad] (T, 6) of its poses take the arm
+        beyond its limits, in parts of these (m,), and the derivatives (m, T, 6) of that [1/m,
+        1/rad]; nothing where they do not."""
         ...
 
 
@@ -184,9 +185,9 @@ class Problem:
 
     def laid(self, values: np.ndarray, end: float = np.inf, fixed: int = 0) -> Course[list[Laid]]:
         """What the sample lays by corrections, with its derivatives by each of their values
-        (3 count,) [L_gb] that is not `fixed`."""
+        (count,) [L_gb, rad] that is not `fixed`."""
         trials = self._sample(values, end)
-        columns = self.corrections.columns()[fixed:, : len(trials[0].trajectory)]
+        columns = self.corrections.columns(values)[fixed:, : len(trials[0].trajectory)]
         directions = [Directions.of_path(columns)] * self.samples
         asked = self._meshed(trials, directions, coarse_mesh(self.corrections.lgb))
         return (yield replace(asked, remembered=self.remembered) if fixed else asked)
@@ -196,7 +197,7 @@ class Problem:
         first = (self.corrections.basis > 1e-12).argmax(axis=0)
         laid = self.corrections.trajectory.arc_length[first]
         before += self.corrections.trajectory.remainder_length
-        return 3 * int(np.sum(laid < before))
+        return len(self.corrections.axes) * int(np.sum(laid < before))
 
     def _state(self, values: np.ndarray, laid: list[Laid], end: float, fixed: int = 0) -> State:
         task, corrections = self.task, self.corrections
@@ -225,8 +226,8 @@ class Problem:
             # Derivatives that ran away say nothing: no step is made from here.
             matrix, slope = self.cost.copy(), np.zeros_like(values)
         if task.limits is not None:
-            excess, rates = task.limits.excess(corrections.displacement(values))
-            rates = np.einsum("mtd,ctd->mc", rates, corrections.columns()[..., :3])
+            excess, rates = task.limits.excess(corrections.moves(values))
+            rates = np.einsum("mtd,ctd->mc", rates, corrections.columns())
             matrix += _LIMIT * rates.T @ rates
             slope += _LIMIT * rates.T @ excess
             value += 0.5 * _LIMIT * float(excess @ excess)
@@ -250,7 +251,7 @@ class Problem:
             told = unseen.told(rest)
             measure = expected_error(told)
             if task.limits is not None:
-                excess, _ = task.limits.excess(corrections.displacement(x))
+                excess, _ = task.limits.excess(corrections.moves(x))
                 measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
             lost = told["diverged"] + int(out_of_reach(corrections.apply(x)).sum())
             error = float(distances(task.pattern, own).mean())
@@ -278,7 +279,7 @@ class Problem:
 def descend(problem: Problem, ahead: bool) -> Course[tuple[list[State], list[np.ndarray]]]:
     """Corrections from none on, each better than the last or tried in vain; with `ahead` the last
     of them is not laid but comes beside the others."""
-    states = [(yield from problem.at(np.zeros(3 * problem.corrections.count)))]
+    states = [(yield from problem.at(np.zeros(problem.corrections.count)))]
     far = _FAR * problem.corrections.lgb
     last = yield from _steps(problem, states, ahead, _HOPELESS * far if problem.alone else np.inf)
     far_off = min(one.measure for one in states) > far
@@ -321,7 +322,7 @@ def _bend_by_bend(problem: Problem) -> Course[State]:
     """Corrections that are found for the beginning of the pattern first, and then for more and more
     of it, from no corrections on."""
     problem.cost = _CHEAP * problem.cost
-    length, values = problem.task.pattern.length, np.zeros(3 * problem.corrections.count)
+    length, values = problem.task.pattern.length, np.zeros(problem.corrections.count)
     count, fixed = int(np.ceil(length / (_STRETCH * problem.corrections.lgb))), 0
     for bend in range(1, count + 1):
         end = length / count * bend

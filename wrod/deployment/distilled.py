@@ -41,13 +41,12 @@ def distilled(pattern: Pattern, rod: Rod, trajectory: Trajectory, friction: floa
             "the distilled corrections know straight uniform rods only; let friction optimise the "
             "plan (method 'auto')"
         )
-    corrections = Corrections(pattern, trajectory, rod.gravito_bending_length, _HOLD)
+    corrections = Corrections(pattern, trajectory, rod.gravito_bending_length, _HOLD, straight=True)
     values = corrections.nearest(
         Corrector.load().predict(asked(pattern, rod, trajectory, friction))
     )
     corrected = corrections.apply(values)
-    largest = float(np.abs(corrections.displacement(values)).max())
-    said = {"friction": friction, "largest_correction": largest, "pace": PACE}
+    said = {"friction": friction, **corrections.largest(values), "pace": PACE}
     return replace(corrected, metadata={**corrected.metadata, "distilled": said})
 
 

@@ -51,7 +51,7 @@ def optimise(
     time_limit: float | None = None,
     device: arguments.DeviceLike = "cpu",
 ) -> Trajectory:
-    """Correct a trajectory's positions until what stays on the table lies on the pattern.
+    """Correct a trajectory's poses until what stays on the table lies on the pattern.
 
     Gauss-Newton steps for a sample of rods that covers the spread, on coarse meshes; of what these
     lead to, and of the path as it was, that is taken by which disturbed rods lie best that none of
@@ -76,8 +76,8 @@ def optimise(
     Returns:
         The corrected trajectory. `optimised` holds the range of friction, the mean error of the
         sample before and after [m], whether a correction was "kept", the largest
-        correction [m], the pace [m/s], and of each of the "paces" that were tried what was expected
-        [m], and whether it "ended_early"; `expected` is what `expect` says.
+        correction [m] and turn [rad], the pace [m/s], and of each of the "paces" that were tried
+        what was expected [m], and whether it "ended_early"; `expected` is what `expect` says.
 
     Raises:
         PatternError: friction is not usable, or the trajectory is too short to be laid.
@@ -150,14 +150,20 @@ def optimise_each(
 
 
 def course(
-    task: TableTask, *, samples: int | None = None, hold: float = 0.05, judge: bool = True
+    task: TableTask,
+    *,
+    samples: int | None = None,
+    hold: float = 0.05,
+    judge: bool = True,
+    straight: bool = False,
 ) -> Course[Trajectory]:
-    """The deployments with which a plan is optimised, and then the plan; see `optimise`."""
+    """The deployments with which a plan is optimised, and then the plan; see `optimise`. One that
+    is `straight` has the orientations of the trajectory."""
     spread, trajectory = Spread.of(task.friction), task.trajectory
     lgb = task.rod.gravito_bending_length
     if samples is None:
         samples = samples_of(spread)
-    corrections = Corrections(task.pattern, trajectory, lgb, hold)
+    corrections = Corrections(task.pattern, trajectory, lgb, hold, straight=straight)
     problem = Problem(task, corrections, spread, samples, judge)
     states, ahead = yield from descend(problem, judge)
     early = problem.is_over
@@ -176,9 +182,7 @@ def course(
         "kept": bool(best.values.any()),
         "pace": task.pace,
         "ended_early": early,
-        "largest_correction": float(
-            lgb * np.abs(corrections.basis @ best.values.reshape(-1, 3)).max()
-        ),
+        **corrections.largest(best.values),
     }
     if best.expected is not None:
         paths = [corrected, trajectory] if said["kept"] else [trajectory]

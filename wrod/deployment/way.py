@@ -52,7 +52,7 @@ class GripWay:
         self, pattern: Pattern, lgb: float, first: float, last: float, rise: float = 0.0
     ) -> Corrections:
         """Of the poses beyond `first`, the same for all beyond `last` [m of the way]."""
-        return Corrections(pattern, self.path, lgb, first, self.laid, last, rise)
+        return Corrections(pattern, self.path, lgb, first, self.laid, last, rise, straight=True)
 
     def back(self, gone: float, to: float) -> tuple[GripWay, float]:
         """From where `gone` [m] is gone back until `to` [m] is laid, and on from there as the way

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
 from wrod import arguments
 from wrod.errors import GraspError, RodError, WrodWarning
@@ -13,6 +14,7 @@ from wrod.patterns.pattern import Pattern
 from wrod.planning.reservations import refuse_unconverged
 from wrod.planning.sources import SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
+from wrod.rods.rotation import transport
 
 # Grips closer than this [L_gb] are of one grasp, with a curvature that is off by a spline's noise.
 _SAME_GRASP = 0.06
@@ -67,7 +69,10 @@ def with_shapes(
         return trajectory
     shape = placed(poses.shape, trajectory.contact, frame, lgb)
     # What is left is of the controller, the mesh and corrections.
-    shape = led_along(shape, trajectory.position - shape[:, -1])
+    solved = (frame @ Rotation.from_rotvec(poses.rotation).as_matrix())[..., 0]
+    ways = solved, trajectory.rotation[..., 0]
+    turn = np.stack([transport(axis, *ways) for axis in np.eye(3)], axis=2)
+    shape = led_along(shape, trajectory.position - shape[:, -1], turn)
     said = {"shapes": {"method": "numeric", "largest_grip_difference": apart}}
     metadata = {**trajectory.metadata, **({} if corrected else said)}
     return replace(trajectory, shape=shape, metadata=metadata)
@@ -112,8 +117,13 @@ def placed(points: np.ndarray, contact: np.ndarray, frame: np.ndarray, lgb: floa
     return contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, points)
 
 
-def led_along(shape: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Shapes (T, n, 3) whose grips are displaced by (T, 3), and the rest of them less and less
-    towards the contact [m]."""
+def led_along(
+    shape: np.ndarray, displacement: np.ndarray, turn: np.ndarray | None = None
+) -> np.ndarray:
+    """Shapes (T, n, 3) whose grips are displaced by (T, 3) [m] and turned by matrices (T, 3, 3),
+    and the rest of them less and less towards the contact [m]."""
     share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
-    return shape + share[None, :, None] * displacement[:, None]
+    moves = displacement[:, None]
+    if turn is not None:
+        moves = moves + np.einsum("tij,tnj->tni", turn - np.eye(3), shape - shape[:, -1:])
+    return shape + share[None, :, None] * moves

@@ -14,8 +14,8 @@ _DAMPING = 1e-6
 class ArmLimits:
     """Joint limits and speeds of an arm, linearised about a joint path.
 
-    A displaced grip is followed by the joints' smallest change, J^+ of the grip's Jacobian J, its
-    orientation unchanged; what a redundant arm could do besides is left aside.
+    A moved grip is followed by the joints' smallest change, J^+ of the grip's Jacobian J; what a
+    redundant arm could do besides is left aside.
 
     Args:
         path: of the trajectory that is to be corrected, at its own pace.
@@ -32,8 +32,9 @@ class ArmLimits:
             jacobian = arm.chain.jacobian_tensor(torch.from_numpy(self.positions)).numpy()
         square = jacobian @ jacobian.transpose(0, 2, 1) + _DAMPING * np.eye(6)
         follow = np.linalg.solve(square, jacobian).transpose(0, 2, 1)
-        # (N, joint, 3) change of the joints by displacements of the grip in the pattern's frame.
-        self.rates = follow[:, :, :3] @ path.placement.base_from_world[:3, :3]
+        # (N, joint, 6) change of the joints by what moves the grip, in the pattern's frame.
+        turn = path.placement.base_from_world[:3, :3]
+        self.rates = follow @ np.kron(np.eye(2), turn)
         self.interval = np.maximum(np.diff(path.node_time), 1e-6)
         self.velocity = np.asarray(arm.velocity)
         low, high = np.asarray(arm.lower), np.asarray(arm.upper)
@@ -42,21 +43,21 @@ class ArmLimits:
         self.middle[bounded] = 0.5 * (low + high)[bounded]
         self.reach[bounded] = 0.5 * (high - low)[bounded] - _MARGIN
 
-    def excess(self, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far displacements (T, 3) [m] take joints beyond their range and their speed, in parts
-        of these (m,), and the derivatives (m, T, 3) of that [1/m]."""
-        q = self.positions + np.einsum("tjd,td->tj", self.rates, displacement)
+    def excess(self, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far displacements [m] and rotation vectors [rad] (T, 6) take joints beyond their
+        range and their speed, in parts of these (m,), and the derivatives (m, T, 6) of that."""
+        q = self.positions + np.einsum("tjd,td->tj", self.rates, moves)
         away = q - self.middle
         node, joint = np.nonzero(np.abs(away) > self.reach)
         side = np.sign(away[node, joint]) / self.reach[joint]
         beyond = side * away[node, joint] - 1.0
-        rates = np.zeros((len(node), *displacement.shape))
+        rates = np.zeros((len(node), *moves.shape))
         rates[np.arange(len(node)), node] = side[:, None] * self.rates[node, joint]
         speed = np.diff(q, axis=0) / self.interval[:, None]
         node, joint = np.nonzero(np.abs(speed) > self.velocity)
         side = np.sign(speed[node, joint]) / self.velocity[joint]
         fast = side * speed[node, joint] - 1.0
-        pace = np.zeros((len(node), *displacement.shape))
+        pace = np.zeros((len(node), *moves.shape))
         row, each = np.arange(len(node)), (side / self.interval[node])[:, None]
         pace[row, node] = -each * self.rates[node, joint]
         pace[row, node + 1] = each * self.rates[node + 1, joint]
