@@ -358,6 +358,8 @@ def test_steps_go_on_only_where_they_save_much_and_much_is_left():
     # Each saves what it promises, all from far away; from near the second is not laid by itself.
     np.testing.assert_allclose(_descended(1.0, 1.0), [0.0, 0.35, 1.05, 2.0])
     np.testing.assert_allclose(_descended(1.0, near), [0.0, 0.35, 1.05])
+    # It comes in two lengths.
+    np.testing.assert_allclose(_descended(1.0, near, beside=2), [0.0, 0.35, 1.05, 0.63])
     # Each saves less than a fifth: the second is laid, and one more is the last.
     np.testing.assert_allclose(_descended(1.0, 1.0, floor=12.0), [0.0, 0.35, 1.05, 2.0])
     np.testing.assert_allclose(_descended(1.0, 1.0, False, 12.0), [0.0, 0.35, 1.05])

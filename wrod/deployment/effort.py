@@ -13,7 +13,7 @@ from wrod.rods.model import Rod
 # Processor time of a node for each second of a rod's way [s]: with the derivatives by a path, and
 # where plans are judged; by how much a card is faster; and of looking on, by the squared length
 # [s/m^2]. Of a core of an EPYC.
-_DERIVED, _JUDGED, _CARD, _LOOKING = 5e-4, 2e-4, 5.0, 130.0
+_DERIVED, _JUDGED, _CARD, _LOOKING = 6e-4, 2e-4, 5.0, 130.0
 # The grip's way over the contact's, by curvature [1/L_gb] and its slope [1/L_gb^2], as plans of
 # eighteen patterns with three rods have it within a sixth; what it takes before and after [s].
 _BY_CURVATURE, _BY_SLOPE, _BEGIN_AND_END, _HOLD = 1.08, 3.4, 2.2, 0.05
@@ -25,7 +25,7 @@ _LAID_BY, _LAYS = (0.1, 0.26, 0.55, 1.6), (0.25, 0.5, 1.0, 2.0)
 _STEPS, _MORE, _MOST, _BEND_BY_BEND = 2.0, 1.2, 2.0, 12.0
 _FAR = {2: 2.7, 4: 1.5}
 # Paths that are judged, by so many rods, and nodes of what hangs.
-_PATHS, _RODS, _HANGING = 2.2, 12, 30
+_PATHS, _RODS, _HANGING = 3.0, 12, 30
 
 
 def corrected(
