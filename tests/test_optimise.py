@@ -277,6 +277,9 @@ def test_a_correction_is_kept_for_what_it_saves_every_rod():
     assert not is_better(told(1.1, 2.1, 3.1, 1.6), before)
     assert not is_better(told(0.9, 1.8, 2.9, 1.4, diverged=1), before)
     assert not is_better(before, before)
+    # 1.5 standard errors; as rare as 1 of one are 1.41 of the best of two and 1.62 of three.
+    lucky = told(0.9, 1.8, 2.8, 1.59)
+    assert [is_better(lucky, before, among) for among in (1, 2, 3)] == [True, True, False]
 
 
 def test_what_rods_happen_to_be_decides_nothing():

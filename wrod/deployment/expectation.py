@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from wrod import arguments
 from wrod.deployment.discretisation import Discretisation
@@ -214,12 +215,14 @@ class Unseen:
         }
 
 
-def is_better(after: dict, before: dict) -> bool:
+def is_better(after: dict, before: dict, among: int = 1) -> bool:
     """Whether a plan lays the same disturbed rods better than another, by what `expect` says of
-    both: by more than the standard error of what they differ by, misplacement aside."""
+    both: by more than the standard error of what they differ by, misplacement aside. The best
+    `among` several has to be better by so much that chance makes none of them so any sooner."""
     saved = np.array(before["error_robot"]) - np.array(after["error_robot"])
     mean, doubt = balanced(saved, np.array(before["beside"]))
-    return bool(after["diverged"] <= before["diverged"] and mean > _SURE * doubt)
+    sure = -ndtri(ndtr(-_SURE) / among)
+    return bool(after["diverged"] <= before["diverged"] and mean > sure * doubt)
 
 
 def balanced(errors: np.ndarray, beside: np.ndarray) -> tuple[float, float]:
