@@ -47,9 +47,10 @@ _LONGER, _KEPT_PROMISE, _SHORT = 2.0, 0.5, 0.5
 # Steps of a plan at least, and at most: further ones where the last but one saved this part of the
 # error. A step from so near [L_gb] is not laid by itself, unless the one before saved too little of
 # what it promised: what more steps save from there on, on fine meshes too, unseen rods do not feel.
-_STEPS, _MORE, _SAVED, _NEAR = 2, 4, 0.2, 0.03
-# Parts of the largest change of the last step, which is not laid by itself, that are tried.
-_PARTS = 1.0, 0.4
+_STEPS, _MORE, _SAVED, _NEAR = 2, 3, 0.2, 0.03
+# Parts of the largest change of the last step that are tried, for it is not laid by itself, and
+# where rods stick and slide what lies has kinks.
+_PARTS = 1.0, 0.4, 0.16
 # Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
 _TOLERANCE = 5e-3
 # Numbers of nodes are multiples of this, so that a GPU lays many plans in few batches; and those of
@@ -280,7 +281,7 @@ class Problem:
 
 def descend(problem: Problem, ahead: bool) -> Course[tuple[list[State], list[np.ndarray]]]:
     """Corrections from none on, each better than the last or tried in vain; with `ahead` those of
-    the last step, of two lengths, are not laid but come beside the others."""
+    the last step, of several lengths, are not laid but come beside the others."""
     states = [(yield from problem.at(np.zeros(problem.corrections.count)))]
     far = _FAR * problem.corrections.lgb
     last = yield from _steps(problem, states, ahead, _HOPELESS * far if problem.alone else np.inf)
