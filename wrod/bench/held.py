@@ -15,8 +15,8 @@ from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
 from wrod.rods.model import Rod
 
-# Edges a length L_gb.
-_EDGES = 4
+# Edges a length L_gb; and by the definition of that, bending stiffness over w L_gb^3.
+_EDGES, _STIFFNESS = 4, 2.0
 # Distances are smoothed below this [L_gb]; what they change by at last; and after how many steps
 # what is known of second derivatives is forgotten, as often at most.
 _NEAR, _DONE, _STEPS, _TIMES = 1e-3, 1e-6, 300, 10
@@ -91,7 +91,7 @@ class _Problem:
         n, angle = self.count, values[: self.count]
         tangent = np.column_stack([np.cos(angle), np.sin(angle)])
         curvature = np.r_[0.0, np.diff(angle) / self.edge, values[-1]]
-        shear = -np.diff(curvature) / self.edge
+        shear = -_STIFFNESS * np.diff(curvature) / self.edge
         force = values[n : 2 * n, None] * tangent + shear[:, None] * _left(tangent)
         place = values[2 * n : -1] + self.edge * np.cumsum(np.vstack([[0, 0], tangent]), axis=0)
         friction = -np.diff(force, axis=0, prepend=0.0) / self.lengths[:, None]
@@ -123,7 +123,8 @@ class _Problem:
         bends = np.zeros((n + 1, len(values)))
         bends[i[1:], i[1:]], bends[i[1:], i[:-1]] = 1.0 / self.edge, -1.0 / self.edge
         bends[n, -1] = 1.0
-        forces = -_left(tangent)[:, :, None] * np.diff(bends, axis=0)[:, None] / self.edge
+        shears = -_STIFFNESS * np.diff(bends, axis=0) / self.edge
+        forces = _left(tangent)[:, :, None] * shears[:, None]
         forces[i, :, i] += _left(force)
         forces[i, :, n + i] += tangent
         rates = -np.diff(forces, axis=0, prepend=0.0) / self.lengths[:, None, None]
