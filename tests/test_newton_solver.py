@@ -717,7 +717,7 @@ def rope_over_post(friction, edge=0.004, radius=POST, **options):
 @pytest.mark.parametrize(
     ("radii", "friction", "rate"),
     [
-        (25, 0.25, 60), (25, 0.5, 120), (25, 0.8, 240), (4, 0.25, 60), (6, 0.25, 60),
+        (25, 0.25, 60), (25, 0.5, 120), (25, 0.8, 240), (5, 0.25, 60), (6, 0.25, 60),
         (12, 0.4, 240),
     ],
 )  # fmt: skip
