@@ -44,7 +44,9 @@ def hung(edges: int):
         rod=ROD, trajectory=SimpleNamespace(roll=0.0, spin=0.0), friction=wrod.Friction(0.5),
         disturbance=wrod.Disturbance(), fixtures=None,
     )  # fmt: skip
-    batch, contact, dynamics = assemble([trial], [setup], wrod.Discretisation(tolerance=1e-11))
+    batch, contact, dynamics = assemble(
+        [trial], [setup], wrod.Discretisation(tolerance=1e-11), keeps_recording=True
+    )
     unit = np.eye(COLUMNS)[None]
     path = np.repeat(unit[:, :, None, :6], KEYS, axis=2)
     friction = np.zeros((1, COLUMNS, batch.node_count))

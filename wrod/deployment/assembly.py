@@ -41,7 +41,7 @@ def assemble(
     discretisation: Discretisation = USUAL,
     *,
     device: str = "cpu",
-    keeps_recording: bool | None = None,
+    keeps_recording: bool = False,
     friction_field: FrictionField | None = None,
 ) -> tuple[RodBatch, Contact, Dynamics]:
     """The rods of prepared trials, what they touch, and what steps them; see

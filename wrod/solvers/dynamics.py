@@ -27,8 +27,6 @@ _SMALLEST_STEP = 1.0 / 4096.0
 # Rounds that are taken without looking whether to go on: on end where a device decides by itself,
 # and one after the other where it cannot.
 _ROUNDS, _ROUNDS_BLIND, _ENDLESS = 128, 16, 2**31 - 1
-# What is not kept is recorded on a CPU after so many: there are likely to be some more.
-_MANY = 8
 
 
 _IS_CONTACT = arguments.like("a wrod.Contact or wrod.RodContact", "add", "settle", "restart")
@@ -60,8 +58,7 @@ class Dynamics(NewtonSteps):
         tolerance: largest residual of a step over the force scale.
         keeps_recording: record the launches of a round on any device, and replay them in later
             calls of `advance` too. `motion`, contacts and bodies must then keep their arrays and
-            numbers, or `forget_recording` be called. Default: where there are none; else each call
-            of `advance` records its own, on a CPU after some rounds. False: none on a CPU.
+            numbers, or `forget_recording` be called. Default: where there are none.
 
     Attributes:
         max_iterations: of Newton; a step that needs more is halved.
@@ -160,7 +157,7 @@ class Dynamics(NewtonSteps):
         self._going = wp.zeros(5, dtype=wp.int32, device=device)
         self._goes_on = self._going[:1]  # a condition of a graph is one number
         alone = not self.contacts and motion is None and bodies is None
-        self.keeps_recording = (alone or None) if keeps_recording is None else keeps_recording
+        self.keeps_recording = alone if keeps_recording is None else keeps_recording
         self._recording: tuple[tuple, object] | None = None
 
     @classmethod
@@ -265,15 +262,17 @@ class Dynamics(NewtonSteps):
         key = (step, smallest, None if frames is None else frames.ptr, frame_interval, then)
         graph = self._recorded(key)
         taken = 0
-        least = {True: 1, None: _MANY, False: _ENDLESS}[self.keeps_recording]
-        least = least if wp.get_device(batch.device).is_cpu else 1
         if graph is None:
             self._ask(_ROUNDS)
         going = graph is not None or read(self._going)[1] != 0
         while going:
             # Launches are replayed faster than they can be made, but recording costs as much as
             # taking them; the first round has compiled the kernels.
-            if graph is None and taken >= least:
+            if (
+                graph is None
+                and taken > 0
+                and (self.keeps_recording or not wp.get_device(self.batch.device).is_cpu)
+            ):
                 graph = self._record(take_round)
                 self._keep(key, graph)
             self._rounds.zero_()
