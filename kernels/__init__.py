@@ -30,18 +30,11 @@ def _start_quietly() -> None:
         os.close(kept)
 
 
-# Options of all modules: a CPU multiplies and adds at once, as a GPU does, also across Warp's
-# functions, which Warp alone asks no CPU to do. LLVM's own options are those of the process, whose
-# threads compile side by side: the same for all.
-_FLAGS = "-march=native" if wp.config.cpu_compiler_flags is None else wp.config.cpu_compiler_flags
-FUSED = {"cpu_compiler_flags": f"{_FLAGS} -ffp-contract=fast"}
-
-
-def _set_options() -> None:
-    """Of every module here, before any is imported."""
+def _leave_adjoints_out() -> None:
+    """Say so of every module here, before any is imported."""
     for module in pkgutil.walk_packages(__path__, f"{__name__}."):
-        wp.set_module_options({"enable_backward": False, **FUSED}, module.name)
+        wp.set_module_options({"enable_backward": False}, module.name)
 
 
 _start_quietly()
-_set_options()
+_leave_adjoints_out()

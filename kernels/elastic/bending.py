@@ -17,7 +17,6 @@ as much as computing.
 """
 
 import warp as wp
-from wrod.kernels import FUSED
 from wrod.kernels.elastic.assembly import add_number, add_parts
 from wrod.kernels.elastic.curvature import (
     Component,
@@ -279,7 +278,7 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
     bending = make_bending(law)
 
     # Of a module of its own: the laws are compiled side by side, and only those that are launched.
-    @wp.kernel(module="unique", enable_backward=False, module_options=FUSED)
+    @wp.kernel(module="unique", enable_backward=False)
     def elasticity(
         model: ElasticModel,
         # State in:

@@ -8,7 +8,6 @@ gradient and Hessian; kernels/elastic/bend_twist.py is the shortest example.
 """
 
 import warp as wp
-from wrod.kernels import FUSED
 from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_hessian, add_number
 from wrod.kernels.elastic.bending import BendingResponse, add_stencil, make_bending
 from wrod.kernels.elastic.curvature import component, excess_curvature, stencil, symmetric
@@ -43,7 +42,7 @@ def make_section_energy(response: wp.Function, numbers: type) -> wp.Kernel:
         numbers: Warp type of what the energy has at each node.
     """
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=FUSED)
+    @wp.kernel(module="unique", enable_backward=False)
     def section_energy(
         # Model:
         model: ElasticModel,

@@ -7,7 +7,6 @@ not depend on its neighbours, nor on how many they are.
 """
 
 import warp as wp
-from wrod.kernels import FUSED
 from wrod.kernels.elastic.frames import ONE, ZERO
 from wrod.kernels.grasping.bordered import make_border
 from wrod.kernels.grasping.closures import CONVERGED, RUNNING, ZERO_TENSION
@@ -183,7 +182,7 @@ def make_solver(size: int):
     on_the_way = wp.constant(wp.float64(1.0e-2 if general else 5.0e-2))
 
     # A module each: nobody waits for the compiler because of rods that he does not have.
-    @wp.kernel(module="unique", enable_backward=False, module_options=FUSED)
+    @wp.kernel(module="unique", enable_backward=False)
     def solve(
         work: wp.array(dtype=wp.int32),
         count: wp.array(dtype=wp.int32),

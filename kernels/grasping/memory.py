@@ -4,7 +4,6 @@ Laying is slow, so that of a material point's past the curvatures in the grasps 
 """
 
 import warp as wp
-from wrod.kernels import FUSED
 from wrod.kernels.elastic.curvature import excess_curvature
 from wrod.kernels.elastic.frames import HALF, ZERO
 from wrod.kernels.elastic.inelastic import Flow, Inelastic, flow
@@ -13,7 +12,7 @@ from wrod.kernels.grasping.straight_rod import point
 
 
 # Of their own modules: what they share with the solver takes minutes to compile.
-@wp.kernel(module="unique", enable_backward=False, module_options=FUSED)
+@wp.kernel(module="unique", enable_backward=False)
 def read_curvature(
     # In:
     edges: int,
@@ -42,7 +41,7 @@ def read_curvature(
         h = g
 
 
-@wp.kernel(module="unique", enable_backward=False, module_options=FUSED)
+@wp.kernel(module="unique", enable_backward=False)
 def follow_flow(
     # In:
     excess: wp.array2d(dtype=wp.vec2d),

@@ -7,7 +7,6 @@ the last inner node.
 """
 
 import warp as wp
-from wrod.kernels import FUSED
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, parallel_transport
 from wrod.kernels.grasping.closures import CONVERGED
 from wrod.kernels.grasping.straight_rod import point
@@ -116,7 +115,7 @@ def read_straight(
 
 
 # Of its own module, as its solver is.
-@wp.kernel(module="unique", enable_backward=False, module_options=FUSED)
+@wp.kernel(module="unique", enable_backward=False)
 def read_general(
     # In:
     edges: int,

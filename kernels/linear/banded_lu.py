@@ -8,7 +8,6 @@ k = 0, and `factor[r, a, 10 - k]` L[a, a - k]; entries outside the matrix are ze
 from typing import Any
 
 import warp as wp
-from wrod.kernels import FUSED
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ONE, ZERO
 from wrod.kernels.linear.banded_lanes import LANES
@@ -37,7 +36,7 @@ def node_coupled_entry(m: NodeCoupled, r: int, a: int, b: int) -> wp.float64:
 def make_assembly(matrix: type, entry: wp.Function) -> wp.Kernel:
     """What writes a struct's matrix, whose `entry` (row, column) of a rod is asked for."""
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=FUSED)
+    @wp.kernel(module="unique", enable_backward=False)
     def assemble(
         # In:
         active: wp.array(dtype=wp.int32),

@@ -7,7 +7,6 @@ as in `wrod.kernels.linear.banded_lu`. One row a thread.
 """
 
 import warp as wp
-from wrod.kernels import FUSED
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ONE, ZERO
 from wrod.kernels.linear.banded_lu import ALONE
@@ -33,7 +32,7 @@ def make_filling(matrix: type, entry: wp.Function) -> wp.Kernel:
         return out
 
     # Unrolled, `entry` is written out 32 times, which takes a GPU's compiler 40 s.
-    @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1, **FUSED})
+    @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
     def fill(
         # State in:
         skyline: Skyline,
