@@ -462,6 +462,17 @@ class Unseen(Magnet):
         return position + np.where(np.imag(values[0]) == 0.0, 0.0, np.nan)
 
 
+class Empty(Magnet):
+    """One that has nothing to fit."""
+
+    parameters = ()
+
+
+def test_an_effect_of_nothing_is_refused(plain):
+    with pytest.raises(DataError, match="'magnet' has no parameters to fit"):
+        identify(measurements_from_arrays(plain), candidates=[Empty()])
+
+
 @pytest.mark.parametrize(("effect", "what"), [(Lost(), "force"), (Unseen(), "measure")])
 def test_an_effect_that_is_no_number_is_refused(plain, effect, what):
     with pytest.raises(DataError, match=f"'magnet' makes {what} no number"):

@@ -1,6 +1,7 @@
 """Plans that are corrected through simulated deployments."""
 
 import re
+import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,8 +12,8 @@ from cli import done
 import wrod
 from wrod.commands.plan_summary import _expectation
 from wrod.deployment import descent, together
-from wrod.deployment.corrections import Corrections, between
-from wrod.deployment.descent import State, TableTask, descend
+from wrod.deployment.corrections import Corrections, between, moved
+from wrod.deployment.descent import State, TableTask, Tried, descend
 from wrod.deployment.expectation import (
     Unseen,
     _stretches,
@@ -22,7 +23,7 @@ from wrod.deployment.expectation import (
     robot_error,
     rougher,
 )
-from wrod.deployment.optimise import _fastest, best_of, course, optimise
+from wrod.deployment.optimise import _chosen, _fastest, best_of, course, optimise
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
@@ -125,6 +126,15 @@ def test_columns_are_what_corrections_do(bend):
     old, new = (np.diff(one, axis=1)[:, -1] for one in (before, last))
     unit = np.linalg.norm(old, axis=1, keepdims=True)
     np.testing.assert_allclose(new / unit, np.einsum("tij,tj->ti", turn, old) / unit, atol=0.03)
+
+
+def test_a_turn_about_the_rod_twists_it(bend):
+    trajectory = replace(bend[1], twist=np.zeros(len(bend[1].arc_length)))
+    about = np.hstack([np.zeros((len(trajectory.twist), 3)), 0.1 * trajectory.rotation[..., 0]])
+    np.testing.assert_allclose(moved(trajectory, about).twist, 0.1)
+    across = np.hstack([about[:, :3], 0.1 * trajectory.rotation[..., 1]])
+    np.testing.assert_allclose(moved(trajectory, across).twist, 0.0, atol=1e-15)
+    assert moved(bend[1], about).twist is None
 
 
 def test_what_lies_answers_to_turns_of_the_grip_as_their_columns_say(bend):
@@ -280,6 +290,11 @@ def test_a_correction_is_kept_for_what_it_saves_every_rod():
     # 1.5 standard errors; as rare as 1 of one are 1.41 of the best of two and 1.62 of three.
     lucky = told(0.9, 1.8, 2.8, 1.59)
     assert [is_better(lucky, before, among) for among in (1, 2, 3)] == [True, True, False]
+    # Where no step promises anything there is nothing to doubt.
+    none = Tried(np.zeros(2), 0.0, (0, 0.0), before)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert _chosen([none]) is none
 
 
 def test_what_rods_happen_to_be_decides_nothing():
@@ -331,17 +346,26 @@ def test_a_grip_that_no_rod_reaches_counts_as_diverged(bend):
     assert problem._state(values.ravel(), laid, np.inf).measure == np.inf
 
 
-def _descended(share: float, lgb: float, ahead: bool = True, floor: float = 0.0, beside: int = 1):
+def _descended(
+    share: float,
+    lgb: float,
+    ahead: bool = True,
+    floor: float = 0.0,
+    beside: int = 1,
+    goal: float = 2.0,
+):
+    far = 1.5 * goal**2
+
     class Far:
-        """Three numbers that had better be 2; of what that promises a share comes true, and a floor
-        is left."""
+        """Three numbers that had better be `goal`; of what that promises a share comes true, and a
+        floor is left."""
 
         alone, is_over = True, False
         corrections = SimpleNamespace(count=3, lgb=lgb)
 
         def at(self, x):
-            value = floor + 6.0 - share * (6.0 - 0.5 * float(np.sum((x - 2.0) ** 2)))
-            return State(x, np.array([value]), value, value, np.eye(3), x - 2.0)
+            value = floor + far - share * (far - 0.5 * float(np.sum((x - goal) ** 2)))
+            return State(x, np.array([value]), value, value, np.eye(3), x - goal)
             yield
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(StopIteration) as ended:
@@ -361,8 +385,10 @@ def test_steps_go_on_only_where_they_save_much_and_much_is_left():
     # Each saves what it promises, all from far away; from near the second is not laid by itself.
     np.testing.assert_allclose(_descended(1.0, 1.0), [0.0, 0.35, 1.05, 2.0])
     np.testing.assert_allclose(_descended(1.0, near), [0.0, 0.35, 1.05])
-    # It comes in two lengths.
-    np.testing.assert_allclose(_descended(1.0, near, beside=2), [0.0, 0.35, 1.05, 0.63])
+    # It comes in three lengths, and so does the third from far away, the last.
+    np.testing.assert_allclose(_descended(1.0, near, beside=3), [0.0, 0.35, 1.05, 0.63, 0.462])
+    far = _descended(1.0, 1.0, beside=3, goal=4.0)
+    np.testing.assert_allclose(far, [0.0, 0.35, 1.05, 2.45, 1.61, 1.274])
     # Each saves less than a fifth: the second is laid, and one more is the last.
     np.testing.assert_allclose(_descended(1.0, 1.0, floor=12.0), [0.0, 0.35, 1.05, 2.0])
     np.testing.assert_allclose(_descended(1.0, 1.0, False, 12.0), [0.0, 0.35, 1.05])

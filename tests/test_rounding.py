@@ -33,6 +33,20 @@ def test_corner_keeps_bound_ends_and_lines(angle):
     assert len(said.places) >= 1 and abs(said.places[0][0] - 0.2) < 0.02
 
 
+@pytest.mark.parametrize("bound", [30.0, 100.0])
+def test_a_leg_that_runs_back_over_itself_is_rounded(bound):
+    """Two turns by half a circle each, of which neither has a fillet."""
+    points = [
+        [0.03497439378033650, -0.02491945416244792], [0.08073842136718304, -0.02327033421024279],
+        [0.07924101381590958, -0.02328159970807729], [0.07517701055728650, 0.07928644186607107],
+        [0.00874900545795857, 0.08659168244029356],
+    ]  # fmt: skip
+    pattern = wrod.Pattern.from_points(points, name="back")
+    rounded, said = round_corners(pattern, bound, tolerance=0.05)
+    curvature = rounded.sample(np.linspace(0.0, rounded.length, 4000))[2]
+    assert np.abs(curvature).max() < 1.001 * bound and said.largest < 0.02
+
+
 def test_departure_beyond_the_tolerance_is_refused_with_the_one_that_is_not():
     pattern = corner(2.2)
     with pytest.raises(PatternError, match=r"corner: bends by .* tolerance of 1 mm") as error:

@@ -101,13 +101,16 @@ def moved(trajectory: Trajectory, moves: np.ndarray) -> Trajectory:
     """The trajectory with its poses moved by (T, 6) displacement [m] and rotation vector [rad], and
     the shapes of its rod with them; the forces of its grasps no longer hold."""
     turn = Rotation.from_rotvec(moves[:, 3:]).as_matrix()
-    shape = trajectory.shape
+    shape, twist = trajectory.shape, trajectory.twist
+    if twist is not None:  # to first order, as corrections are small
+        twist = twist + np.einsum("td,td->t", moves[:, 3:], trajectory.rotation[..., 0])
     return replace(
         trajectory,
         position=trajectory.position + moves[:, :3],
         rotation=turn @ trajectory.rotation if moves[:, 3:].any() else trajectory.rotation,
         force=np.full_like(trajectory.force, np.nan),
         shape=None if shape is None else led_along(shape, moves[:, :3], turn),
+        twist=twist,
         metadata={**trajectory.metadata, "contact_friction": None},
     )
 

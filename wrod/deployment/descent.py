@@ -307,7 +307,8 @@ def _steps(
         last |= k == _MORE or (k >= _STEPS and near and as_said) or problem.is_over
         if ahead and last:
             radius = min(radius, float(np.abs(step).max()))
-            return [best.values + best.step(part * radius)[0] for part in _PARTS]
+            parts = _PARTS[:1] if problem.is_over else _PARTS
+            return [best.values + best.step(part * radius)[0] for part in parts]
         tried = yield from problem.at(best.values + step)
         states.append(tried)
         # A step that is taken back, or saves little of what it promised, says nothing of a shorter

@@ -197,6 +197,6 @@ def _chosen(tried: list[Tried]) -> Tried:
     """The best; none but what is clearly better than no correction where that might be the best."""
     best, none = min(tried, key=lambda one: one.order), tried[0]
     doubted = none.expected is not None and not none.values.any()
-    if doubted and not is_better(best.expected, none.expected, len(tried) - 1):
+    if doubted and best is not none and not is_better(best.expected, none.expected, len(tried) - 1):
         return none
     return best

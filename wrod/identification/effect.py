@@ -231,7 +231,7 @@ def effects_asked(kind: str, candidates) -> list[Effect]:
     """The candidates, which are effects or names of them; all of the kind where they are None.
 
     Raises:
-        DataError: there is no effect of that name.
+        DataError: there is no effect of that name, or one has nothing to fit.
     """
     known = effects(kind)
     chosen = list(known.values() if candidates is None else candidates)
@@ -239,7 +239,13 @@ def effects_asked(kind: str, candidates) -> list[Effect]:
     if unknown:
         names = ", ".join(known)
         raise DataError(f"unknown effect {unknown[0]!r} for {kind} data; known effects: {names}")
-    return [c if isinstance(c, Effect) else known[c] for c in chosen]
+    asked = [c if isinstance(c, Effect) else known[c] for c in chosen]
+    for effect in asked:
+        if not effect.parameters:
+            raise DataError(
+                f"effect {effect.name!r} has no parameters to fit; give it one or leave it out"
+            )
+    return asked
 
 
 def refuse_undefined(

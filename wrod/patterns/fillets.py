@@ -32,7 +32,10 @@ def fillets(
     for ((_, first), (last, _)), (one, other) in zip(
         itertools.pairwise(runs), itertools.pairwise(needs), strict=True
     ):
-        cuts.append(first + int((last - first) * one / (one + other)))
+        total = one + other  # of turns back over themselves none needs anything
+        cuts.append(
+            first + (int((last - first) * one / total) if total > 0.0 else (last - first) // 2)
+        )
     cuts.append(len(s) - 1)
     knots, at, shift = [], 0, 0.0
     for (a, b), low, high in zip(runs, cuts[:-1], cuts[1:], strict=True):

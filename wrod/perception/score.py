@@ -75,7 +75,7 @@ def _draw(line: Centerline, shape: tuple[int, int]) -> np.ndarray:
     )
     inside[y, x] = distance <= line.radius
     out = np.zeros(shape, bool)
-    first, last = low.clip(0), np.minimum(high, shape[::-1])
+    first, last = (np.clip(end, 0, shape[::-1]) for end in (low, high))
     (left, top), (right, bottom) = first - low, last - low
     out[first[1] : last[1], first[0] : last[0]] = inside[top:bottom, left:right]
     return out

@@ -165,7 +165,13 @@ class MotionReport(Report):
 
 
 @checked_as_identification(arguments.like("recordings", "positions"))
-@arguments.checked(DataError, subdivisions=arguments.whole(1, 64))
+@arguments.checked(
+    DataError,
+    subdivisions=arguments.whole(1, 64),
+    steps=arguments.optional(
+        arguments.either(arguments.path, arguments.like("steps that are known", "recall"))
+    ),
+)
 def identify_motion(
     measurements: MotionMeasurements | str | os.PathLike[str],
     *,
