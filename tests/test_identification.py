@@ -113,7 +113,7 @@ FEW = [part for name in FEW_NAMES[:3] for part in ("--effect", name)]
 
 @pytest.fixture(scope="module")
 def plain():
-    return synthetic()
+    return synthetic(trials=8)
 
 
 @pytest.fixture(scope="module")
@@ -242,7 +242,7 @@ def test_another_equilibrium_on_the_coarse_mesh_is_no_correction(plain, monkeypa
 
 def test_wrench_balances_the_weight_of_a_hanging_rod():
     """Force of gripper and clamp together carry the rod: that of the gripper is near half."""
-    m = measurements_from_arrays(synthetic())
+    m = measurements_from_arrays(synthetic(trials=8))
     setup = ClampedSetup.base(m, np.arange(m.trial_count), 60)
     solver = ClampedSolver([setup])
     force = np.real(solver.predict([setup]).force[0])
@@ -394,10 +394,10 @@ def test_prints_tell_load_material_end_and_camera_apart():
         setup.grip_rotation = setup.grip_rotation @ rotation_of(np.array([0.06, -0.04, 0.0]))
 
     cases = {
-        "force_in_laboratory": synthetic(tilt),
-        "moment_in_material": synthetic(bend),
-        "grip_end": synthetic(turn),
-        "camera": synthetic(measure=lambda x: 1.02 * x),
+        "force_in_laboratory": synthetic(tilt, trials=8),
+        "moment_in_material": synthetic(bend, trials=8),
+        "grip_end": synthetic(turn, trials=8),
+        "camera": synthetic(measure=lambda x: 1.02 * x, trials=8),
     }
     for name, data in cases.items():
         prints = trace(coarse(data))
@@ -439,10 +439,10 @@ class Weighted(Magnet):
         super().apply(setup, [0.05 + values[0]])
 
 
-def test_an_effect_that_is_something_at_zero_is_refused():
+def test_an_effect_that_is_something_at_zero_is_refused(plain):
     asked = ["natural_curvature", Weighted()]
     with pytest.raises(DataError, match=r"'magnet' still changes .* all its parameters are zero"):
-        identify(measurements_from_arrays(synthetic()), candidates=asked)
+        identify(measurements_from_arrays(plain), candidates=asked)
 
 
 class Lost(Magnet):

@@ -91,13 +91,13 @@ def test_predictions_are_of_second_order(bent):
         return position
 
     quiet = measured(
-        hanging(ROD, trials=4), replace(world_of(rod, ROD), see=see), noise=0.0,
+        hanging(ROD, trials=3), replace(world_of(rod, ROD), see=see), noise=0.0,
         wrench_noise=False, steps=STEPS,
     )  # fmt: skip
     measurements = measurements_from_arrays(quiet)
 
     def errors(edges):
-        straight = ClampedSetup.base(measurements, np.arange(4), edges)
+        straight = ClampedSetup.base(measurements, np.arange(3), edges)
         solver = ClampedSolver([straight])
         setup = replace(
             straight,
