@@ -20,7 +20,7 @@ L_GB = START_L_GB * np.exp(STIFFNESS / 3)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Files that are written for recordings of a viscous rod with a bend of its own."""
-    m = moved((effects("motion")["natural_curvature"], CURVATURE), rods=4)
+    m = moved((effects("motion")["natural_curvature"], tuple(CURVATURE)), rods=4)
     out = tmp_path_factory.mktemp("identified")
     path, held = out.with_suffix(".npz"), [0, 1, MARKERS - 2, MARKERS - 1]
     np.savez(path, positions=m.positions, rate_hz=m.rate, held=held, gravity=m.gravity)

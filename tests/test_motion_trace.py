@@ -1,6 +1,7 @@
 """The force print of motion: what is hidden in known motions leaves the right print."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -42,9 +43,9 @@ class Weight(Effect):
 
 
 HIDDEN = {
-    "wind": (Wind(), [WIND]),
-    "bend": (effects("motion")["natural_curvature_profile"], BEND),
-    "weight": (Weight(), [MASS]),
+    "wind": (Wind(), (WIND,)),
+    "bend": (effects("motion")["natural_curvature_profile"], tuple(BEND)),
+    "weight": (Weight(), (MASS,)),
 }
 
 
@@ -70,6 +71,7 @@ def grips(rods: int, seed: int) -> np.ndarray:
     return np.einsum("rij,rfkj->rfki", rotation, ends)
 
 
+@cache
 def moved(hidden=None, rods=8, seed=1, rate=RATE):
     """Recordings of a viscous rod with something hidden, each frame's grips the same at any rate.
 
@@ -141,7 +143,7 @@ def test_the_model_that_made_a_motion_lacks_nothing(traces):
 
 
 def test_a_rod_that_softens_lacks_nothing_by_its_own_law():
-    law = [np.log(6.0), 0.6]
+    law = (np.log(6.0), 0.6)
     m = moved((effects("motion")["softening"], law), rods=4)
     with_law, without = traced(m, VISCOUS, law), traced(m, VISCOUS)
     assert np.median(with_law.force.size) < 0.02
