@@ -143,7 +143,7 @@ def test_where_it_runs_into_the_hand_is_said_and_another_hold_taken(monkeypatch)
     from wrod.robot.beyond import met_beyond
 
     points = np.column_stack([np.linspace(0.0, 0.15, 20), np.zeros(20)])
-    plan = wrod.plan(wrod.Pattern.from_points(points), replace(ROD, length=0.4), spacing=0.01)
+    plan = wrod.plan(wrod.Pattern.from_points(points), replace(ROD, length=0.4), spacing=0.02)
     path = wrod.solve_joint_path(plan, "sawyer", grip_angle=0.0)
     way = np.linspace(0.0, 0.2, 101)
     straight = plan.position[:, None] + way[:, None] * plan.rotation[:, None, :, 0]
