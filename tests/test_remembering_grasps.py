@@ -105,7 +105,7 @@ def test_where_a_bent_wire_cannot_hang_a_straighter_one_does(monkeypatch):
     wire = replace(
         of_law(Plastic(10.0, 0.5)), natural_curvature=tuple(wrod.Profile(b, knots) for b in bends)
     )
-    contacts, lines = np.linspace(0.11, 0.16, 20), np.zeros(20)
+    contacts, lines = np.linspace(0.11, 0.16, 12), np.zeros(12)
     how = dict(held_roll=0.5 * np.pi, edge_count=32, device="cpu")
     solved, solve = [], relaxed.solve_rod_grasps
 
@@ -117,7 +117,7 @@ def test_where_a_bent_wire_cannot_hang_a_straighter_one_does(monkeypatch):
     grasps, share = relaxed.solve_relaxed(wire, contacts, lines, **how)
     asked, own = solved[0]
     assert (asked == 1.0).all() and len(own) == len(contacts)
-    assert 4 < (~own.converged).sum() < 16
+    assert 3 < (~own.converged).sum() < 9
     assert grasps.converged.all()
     assert (share[~own.converged] < 1.0).all() and (share > 0.0).all()
     # They are the same whether asked for with the share beforehand, and twice of it is too much.
@@ -148,11 +148,11 @@ def test_a_plan_that_knows_what_stays_lays_it_better(law):
     points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
     pattern = wrod.Pattern.from_points(points)
     rod = of_law(law)
-    how = dict(spacing=0.005, closure="zero_tension", device="cpu")
+    how = dict(spacing=0.0075, closure="zero_tension", device="cpu")
     knows, plain = (wrod.plan(pattern, one, **how) for one in (rod, ROD))
     assert knows.metadata["remembers"] == law.name and knows.metadata["solver"] == "rod solver"
     plain = replace(plain, metadata=plain.metadata | {"rod": rod_as_json(rod)})
-    mesh = wrod.Discretisation(0.0075, 0.02)
+    mesh = wrod.Discretisation(0.01, 0.02)
     trials = [wrod.Trial(pattern, rod, one, wrod.Friction(1.0)) for one in (knows, plain)]
     # So slowly that damping hardly bends the rod otherwise.
     better, worse = wrod.simulate_deployments(trials, speed=0.0125, hold=0.02, discretisation=mesh)
