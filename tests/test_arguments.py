@@ -29,6 +29,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+import scipy.signal  # noqa: F401 - half of it would stay where a call is cut short that imports it
 from hostile import arrays_of, save_arrays
 from strange import STRANGE
 from wrod.scenes import sawyer

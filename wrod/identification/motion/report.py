@@ -169,7 +169,7 @@ class MotionReport(Report):
     DataError,
     subdivisions=arguments.whole(1, 64),
     steps=arguments.optional(
-        arguments.either(arguments.path, arguments.like("steps that are known", "recall"))
+        arguments.either(arguments.path, arguments.like("KnownSteps", "recall", "forget"))
     ),
 )
 def identify_motion(
