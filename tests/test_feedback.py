@@ -75,7 +75,7 @@ def test_a_table_of_two_frictions_is_told_by_what_slid_on_it(two_bends):
     same = ROUGH | {"discretisation": meshed_to_the_end(ROUGH["discretisation"], pattern)}
     told = [Beliefs(pattern, rod, 0.4, 0.05) for _ in range(2)]
     cameras, went_on = [np.random.default_rng(seed) for seed in range(2)], [LastDeployments()]
-    for to in np.arange(0.12, 0.36, 0.03):
+    for to in np.arange(0.12, 0.36, 0.04):
         path = GripWay(trajectory).until(to).path
         trial = Trial(pattern, rod, path, Friction(0.4), Disturbance(), Tail.none(path))
         (lies,) = lay([trial], friction_field=field, remembered=went_on, **same)
