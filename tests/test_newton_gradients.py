@@ -419,11 +419,10 @@ def compare(scene, names, size=1e-4, together=False, **options):
 def test_gradients_against_differences(options, states):
     """Of a loss on all that the last state holds, by all that the first held, by every property,
     gravity of each world and every pose of the hand, within 1e-6; with states that alternate, one
-    that is its own successor (and substeps), and one for each step; with rods that share a row. By
-    one property after the other in the first case, in the others by all at once."""
+    that is its own successor (and substeps), and one for each step; with rods that share a row."""
     # Nothing damps what the midpoint rule lets ring: the loss is less smooth by what is stiff.
     size = 2e-5 if options.get("scheme") == "midpoint" else 5e-5
-    compare(Scene(states=states, **options), EVERY, size=size, together=bool(options))
+    compare(Scene(states=states, **options), EVERY, size=size)
 
 
 @pytest.mark.parametrize(
@@ -452,9 +451,8 @@ def test_gradients_through_rods_on_each_other(friction, options):
     ],
 )
 def test_gradients_through_rods_with_a_past(law, options):
-    """Of what a section remembers, in both directions of bending, from before its first step on; by
-    all properties at once."""
-    compare(Scene(law=law, **options), EVERY, size=5e-5, together=True)
+    """Of what a section remembers, in both directions of bending, from before its first step on."""
+    compare(Scene(law=law, **options), EVERY, size=5e-5)
 
 
 def test_motion_that_goes_on_from_before_the_tape():
