@@ -22,7 +22,7 @@ from wrod.grasps.optimal import solve_grasps
 from wrod.rods.law import Linear
 from wrod.rods.model import RodModel
 
-TOLERANCE = 1e-8
+TOLERANCE = 1e-7
 
 
 @dataclass
