@@ -283,11 +283,8 @@ class _Restricted:
         along = noise.size, noise.share, noise.length or 1.0
         # A scatter is known to a few per cent at best; the likelihood's own digits end far below.
         ends = np.exp(0.01 * np.eye(len(size))[seen])
-        slopes = [
-            self.slope(*along, size * e, along=False) - self.slope(*along, size / e, along=False)
-            for e in ends
-        ]
-        curvature = np.reshape(slopes, (-1, 3 + len(size)))[:, 3 + seen] / 0.02
+        up, down = ([self.slope(*along, size * f**k, along=False) for f in ends] for k in (1, -1))
+        curvature = np.reshape(np.subtract(up, down), (-1, 3 + len(size)))[:, 3 + seen] / 0.02
         errors = np.zeros(len(size))
         errors[seen] = np.sqrt(np.maximum(np.diag(np.linalg.inv(0.5 * curvature)), 0.0))
         return errors * size * _SCALES
