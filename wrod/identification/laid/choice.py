@@ -19,8 +19,8 @@ from wrod.identification.laid.scenario import LaidRod, Scenario
 # laid with another excess, and the other pictures are to be heard too; more where the place counts
 # as well, which an overlay tells within millimetres.
 _CAP, _CAP_OF_PLACE = 6e-3, 20e-3
-# A gain counts from so many of its standard errors on: the best of many ways is ahead by one by
-# luck alone in more than a third of all cases, by two in a tenth (tests/test_photographs.py).
+# A gain counts from so many of its standard errors on: the best of twelve ways is ahead by one by
+# luck alone in two fifths of all cases, by two in a ninth (tests/test_photographs.py).
 _ERRORS = 2.0
 # Mean distance by which a scenario's weight falls by e [m].
 _SOFT = 1e-3
