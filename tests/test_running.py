@@ -24,10 +24,12 @@ from wrod.commands.running import (
     REFUSED,
     holding_output,
     interruptible,
+    sentence,
 )
 from wrod.errors import DataError, RodError
 from wrod.files import write_atomically
-from wrod.files.writing import locked
+from wrod.files.ledger import Ledger
+from wrod.files.writing import begin, locked
 from wrod.machine import usable_cores
 
 
@@ -190,6 +192,17 @@ def test_a_process_with_other_temporary_files_is_told_so(tmp_path, monkeypatch):
         pass
     with locked(out):
         pass
+
+
+@pytest.mark.parametrize("trials", [0, 1])
+def test_only_what_is_kept_goes_on(trials, tmp_path):
+    begin()
+    ledger = Ledger(tmp_path / "trials.jsonl", {}, ("trial",))
+    if trials:
+        ledger.add([{"trial": 1}])
+    said, _ = sentence(KeyboardInterrupt())
+    begin()
+    assert ("goes on" in said, "begins anew" in said) == (trials == 1, trials == 0)
 
 
 def hear_interruptions():

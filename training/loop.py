@@ -21,6 +21,7 @@ from wrod.controller.controller import Controller
 from wrod.errors import DataError, needed_extras
 from wrod.files import checked_path, write_atomically, write_csv
 from wrod.files.reading import shown
+from wrod.files.writing import keeps
 
 with needed_extras():
     import torch
@@ -299,6 +300,7 @@ class Training:
             DataError: it is damaged, or of another recipe, seed or dataset.
         """
         path = self.folder / CHECKPOINT
+        keeps(path)
         if not path.exists():
             return False
         checked_path(path, "a checkpoint; delete it", limit=_MOST_BYTES)

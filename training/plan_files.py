@@ -8,6 +8,7 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.files import read_fields, read_json, schemas, write_json, write_npz, write_text
+from wrod.files.writing import keeps
 
 _FORMAT = "wrod-plans-4"
 _ARRAYS = ("laid", "curvature", "anchors")
@@ -115,6 +116,7 @@ def claim(folder: Path, seed: int) -> None:
         DataError: it holds plans of another seed.
     """
     path = folder / "plans.json"
+    keeps(path)
     folder.mkdir(parents=True, exist_ok=True)
     if not path.exists():
         write_json(path, {"format": _FORMAT, "seed": seed})

@@ -25,6 +25,7 @@ from wrod.files import (
     write_json,
     write_tensors,
 )
+from wrod.files.writing import keeps
 
 FORMAT = "wrod-grasps-1"
 MANIFEST = "manifest.json"
@@ -103,6 +104,7 @@ def create(folder: Path, manifest: Manifest) -> None:
         DataError: the folder holds another dataset.
     """
     path = folder / MANIFEST
+    keeps(path)
     if path.exists():
         found = read_manifest(folder)
         if found.identity != manifest.identity:

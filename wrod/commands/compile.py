@@ -6,6 +6,7 @@ import json
 import os
 import time
 from multiprocessing import parent_process
+from pathlib import Path
 
 import click
 
@@ -80,10 +81,14 @@ def command(
     those of Newton's solver's gradients. What is there already is not compiled again. `make setup`
     does this.
     """
+    import warp as wp
+
+    from wrod.files.writing import keeps
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
+    keeps(Path(wp.config.kernel_cache_dir))
     clock = time.perf_counter()
     jobs = min(jobs or usable_cores(), usable_cores())
     work = cost.Cost((cost.KERNELS + rare * cost.RARE_KERNELS) / jobs)

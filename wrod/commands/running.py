@@ -50,11 +50,14 @@ _NEEDS = {
 
 def sentence(error: BaseException) -> tuple[str, int] | None:
     """What to say of an error, and the exit code; None if it is a fault of ours."""
+    from wrod.files.writing import goes_on
+
     if isinstance(error, WrodError):
         return str(error), REFUSED
     if isinstance(error, KeyboardInterrupt):
         word, code = _ENDINGS.get(error.args[0] if error.args else None, _ENDINGS[signal.SIGINT])
-        return f"{word}; what was finished is kept, and the same command goes on", code
+        kept = "what was finished is kept, and the same command goes on"
+        return f"{word}; {kept if goes_on() else 'the same command begins anew'}", code
     if isinstance(error, ModuleNotFoundError) and (missing := MissingExtraError.of(error)):
         return str(missing), REFUSED
     if isinstance(error, MemoryError) or ("allocat" in str(error) and "bytes" in str(error)):

@@ -13,7 +13,7 @@ import msgspec
 from wrod.errors import DataError
 from wrod.files import read_text, write_atomically
 from wrod.files.reading import entry_message, refuse_depth, shown
-from wrod.files.writing import grown
+from wrod.files.writing import grown, keeps
 
 # Of a campaign of a million trials.
 _MOST_BYTES = 2**31
@@ -44,6 +44,8 @@ class Ledger:
         self.path, self.keys, self.rows = path, tuple(keys), []
         head = {"format": f"wrod-{title}-2", **settings}
         self._head = head
+        if path is not None:
+            keeps(path)
         if path is None or not path.exists():  # it begins with the first trial
             return
         lines = read_text(path, "a campaign's file", limit=_MOST_BYTES).split("\n")

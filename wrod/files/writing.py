@@ -26,6 +26,8 @@ _REFUSAL = "{}: is being written by another wrod process ({}); wait for it or ch
 _SWEPT: set[Path] = set()
 # The last of what was written whole, for the message of a command that ends early.
 _FINISHED: deque[Path] = deque(maxlen=1000)
+# What the running command goes on from when it is called again.
+_KEPT: set[Path] = set()
 # What the running command reads, which it may not replace.
 _READ: set[str] = set()
 
@@ -194,6 +196,17 @@ def begin() -> None:
     """Forget what `finished` and `protect` know: a new command begins."""
     _FINISHED.clear()
     _READ.clear()
+    _KEPT.clear()
+
+
+def keeps(path: Path) -> None:
+    """Note that the command that writes this goes on from there when it is called again."""
+    _KEPT.add(path)
+
+
+def goes_on() -> bool:
+    """Whether the running command has written something from which it goes on."""
+    return any(path.exists() for path in _KEPT)
 
 
 def protect(paths: Iterable[str]) -> None:
