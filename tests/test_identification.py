@@ -462,6 +462,20 @@ class Unseen(Magnet):
         return position + np.where(np.imag(values[0]) == 0.0, 0.0, np.nan)
 
 
+class Rooted(Magnet):
+    """One whose rate is infinite at zero."""
+
+    def apply(self, setup, values):
+        super().apply(setup, np.sqrt(values))
+
+
+class Folded(Magnet):
+    """One that drops the imaginary parts."""
+
+    def apply(self, setup, values):
+        super().apply(setup, np.abs(values))
+
+
 class Empty(Magnet):
     """One that has nothing to fit."""
 
@@ -473,9 +487,17 @@ def test_an_effect_of_nothing_is_refused(plain):
         identify(measurements_from_arrays(plain), candidates=[Empty()])
 
 
-@pytest.mark.parametrize(("effect", "what"), [(Lost(), "force"), (Unseen(), "measure")])
-def test_an_effect_that_is_no_number_is_refused(plain, effect, what):
-    with pytest.raises(DataError, match=f"'magnet' makes {what} no number"):
+@pytest.mark.parametrize(
+    ("effect", "said"),
+    [
+        (Lost(), "makes force no number"),
+        (Unseen(), "makes measure no number"),
+        (Rooted(), "makes force no number, or its rate"),
+        (Folded(), r"changes force at \[0.0001\] otherwise"),
+    ],
+)
+def test_an_effect_whose_rates_are_none_is_refused(plain, effect, said):
+    with pytest.raises(DataError, match=f"'magnet' {said}"):
         identify(measurements_from_arrays(plain), candidates=["natural_curvature", effect])
 
 

@@ -251,7 +251,8 @@ def effects_asked(kind: str, candidates) -> list[Effect]:
 def refuse_undefined(
     chosen: list[Effect], base: Any, measurements: ClampedMeasurements | None = None
 ) -> None:
-    """Raise where fits start, or a little off there, if an effect or its rates are no numbers.
+    """Raise where fits start, or a little off there, if an effect or its rates are no numbers, or
+    the imaginary parts that it is handed come back as no rates.
 
     Args:
         base: set-up of the base model.
@@ -259,22 +260,53 @@ def refuse_undefined(
     """
     for effect in chosen:
         low, high, scale = np.array([(p.lower, p.upper, p.scale) for p in effect.parameters]).T
+
+        def told(values: np.ndarray, effect: Effect = effect) -> dict[str, Any]:
+            return _changed(effect, base, values, measurements)
+
         for start in effect.starts(measurements):
-            for values in (start, np.clip(start + 1e-3 * scale, low, high)):
-                asked = values + 1e-30j
-                setup = Model((effect,)).setup(base, asked)
-                told = {k: vars(setup)[k] for k, v in vars(base).items() if vars(setup)[k] is not v}
-                if measurements is not None and type(effect).measure is not Effect.measure:
-                    at = np.nan_to_num(measurements.centerline[setup.trials])
-                    frame = np.zeros((*at.shape, 3)) + np.eye(3)
-                    told["measure"] = effect.measure(at, frame, asked, setup)
-                lost = [k for k, v in told.items() if not np.isfinite(v).all()]
-                if lost:
+            off = np.where(start + 1e-3 * scale <= high, start + 1e-3 * scale, start - 1e-3 * scale)
+            for values in (start, np.clip(off, low, high)):
+                # A rate that is infinite grows as the step shrinks.
+                found, wider = told(values + 1e-30j * scale), told(values + 1e-20j * scale)
+                for k, v in found.items():
+                    rate = np.imag(v) / 1e-30
+                    most = 2.0 * np.abs(np.imag(wider[k])).max(initial=0.0) / 1e-20
+                    if np.isfinite(v).all() and np.abs(rate).max(initial=0.0) <= most:
+                        continue
                     raise DataError(
-                        f"effect {effect.name!r} makes {lost[0]} no number, or its rate, at "
-                        f"{np.array2string(values, precision=3)}, where fits start; use analytic "
-                        "functions that are finite there"
+                        f"effect {effect.name!r} makes {k} no number, or its rate, at "
+                        f"{_shown(values)}, where fits start; use analytic functions that are "
+                        "finite there"
                     )
+            ahead, behind = told(values + 1e-4 * scale), told(values - 1e-4 * scale)
+            for k, v in found.items():
+                rate, slope = np.imag(v) / 1e-30, (ahead[k] - behind[k]) / 2e-4
+                rounding = 1e-9 * np.abs(v).max(initial=0.0)
+                if np.any(np.abs(rate - slope) > 0.1 * np.abs(slope).max(initial=0.0) + rounding):
+                    raise DataError(
+                        f"effect {effect.name!r} changes {k} at {_shown(values)} otherwise than "
+                        "the imaginary parts of what it returns say; use analytic functions (no "
+                        "abs, norm or max)"
+                    )
+
+
+def _shown(values: np.ndarray) -> str:
+    return np.array2string(values, formatter={"float_kind": "{:.3g}".format})
+
+
+def _changed(
+    effect: Effect, base: Any, values: np.ndarray, measurements: ClampedMeasurements | None
+) -> dict[str, Any]:
+    """Fields of the set-up that an effect changes, and, of what it changes of them, the "measure"
+    of markers."""
+    setup = Model((effect,)).setup(base, values)
+    found = {k: vars(setup)[k] for k, v in vars(base).items() if vars(setup)[k] is not v}
+    if measurements is not None and type(effect).measure is not Effect.measure:
+        at = np.nan_to_num(measurements.centerline[setup.trials])
+        frame = np.zeros((*at.shape, 3)) + np.eye(3)
+        found["measure"] = effect.measure(at, frame, values, setup)
+    return found
 
 
 @dataclass(frozen=True)
