@@ -12,6 +12,8 @@ from wrod.patterns.curve import arc_length
 from wrod.perception import refine
 from wrod.perception.bridges import bending_energy
 from wrod.perception.crossings import find_crossings
+from wrod.perception.score import _draw
+from wrod.perception.trace import Centerline
 
 SIZE = (480, 640)
 
@@ -216,3 +218,17 @@ def test_grey_float_and_16_bit_pictures_agree():
     for picture in (grey, np.dstack([grey] * 3), grey / 255.0, grey.astype(np.uint16) * 257):
         (line,) = wrod.trace_centerlines(picture)
         assert nearest(line, truth) < 0.2
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [((10.3, 8.0), (30.7, 21.4)), ((-20.0, 5.0), (12.0, -3.0)), ((50.0, 60.0), (70.0, 90.0))],
+)
+def test_a_path_is_drawn_as_wide_as_it_is_also_where_it_leaves_the_picture(ends):
+    line = Centerline(np.array(ends), np.full(2, 3.2))
+    y, x = np.mgrid[:32, :40]
+    start, way = line.points[0], np.diff(line.points, axis=0)[0]
+    along = np.clip(((x - start[0]) * way[0] + (y - start[1]) * way[1]) / (way @ way), 0.0, 1.0)
+    distance = np.hypot(x - start[0] - along * way[0], y - start[1] - along * way[1])
+    sure = np.abs(distance - 3.2) > 0.01  # between its points a path is 0.002 px thinner
+    assert ((_draw(line, x.shape) == (distance <= 3.2)) | ~sure).all()
