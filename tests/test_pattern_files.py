@@ -80,8 +80,8 @@ def changed(index, axis, by):
     [
         (changed(20, 1, np.nan), "line 21: a coordinate is nan"),
         (changed(20, 0, np.inf), "line 21: a coordinate is inf"),
-        (POINTS[[0, 5, 0]], "2 distinct points; give at least 3"),
-        (np.zeros((2, 2)), "1 distinct points"),
+        (POINTS[[0, 5, 0]], "goes to and fro on one line"),
+        (np.zeros((2, 2)), "is one point; give at least 2"),
         (np.insert(POINTS, 20, POINTS[19], axis=0), "line 21: repeats the point before"),
         (changed(30, 2, 0.05), "line 31: .*one horizontal plane"),
         (changed(30, 1, 0.005), "line 31: .*spike of curvature"),

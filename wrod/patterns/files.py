@@ -257,10 +257,14 @@ def checked_points(raw: RawPoints, units: str | None) -> np.ndarray:
         points = np.column_stack([points, np.zeros(len(points))])
     if len(points) == 2:  # the line between them
         points = np.insert(points, 1, points.mean(axis=0), axis=0)
-    if len(np.unique(points, axis=0)) < 3:
-        raise PatternError(
-            f"{raw.source}: has {len(np.unique(points, axis=0))} distinct points; give at least 3"
+    distinct = len(np.unique(points, axis=0))
+    if distinct < 3:
+        said = (
+            "is one point; give at least 2"
+            if distinct == 1
+            else "goes to and fro on one line; give points"
         )
+        raise PatternError(f"{raw.source}: {said}, in their order along the curve")
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if steps.sum() < _SHORTEST:
         raise PatternError(
