@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 from cli import refused, run, told
 
@@ -16,3 +17,14 @@ def test_show_says_what_a_drawing_is_and_what_a_rod_makes_of_it(tmp_path):
     refused("less than the radius of the rod", "show", "line", "--rod", "rope", "--resize", 1e-6)
     result = run("show", "letter-U", "--rod", "cable", "--lgb", "0.5")
     assert result.exit_code == 2
+
+
+@pytest.mark.parametrize(("turns", "twice"), [(1.0, False), (1.5, True)])
+def test_a_rod_that_is_to_lie_on_itself_is_said(tmp_path, turns, twice):
+    angle = np.linspace(0.0, 2.0 * np.pi * turns, 100)
+    np.savetxt(tmp_path / "ring.txt", 0.06 * np.column_stack([np.cos(angle), np.sin(angle)]))
+    said = run("show", tmp_path / "ring.txt", "--rod", "green-vps").output
+    assert ("already at s = 0.37" in said and "to 0.565 m" in said) == twice
+    assert ("lies on" in said) == twice
+    crossed = run("show", "letter-A", "--rod", "green-vps").output
+    assert "lies on" not in crossed

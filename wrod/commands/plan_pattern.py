@@ -62,6 +62,7 @@ def fit(curve, rod, shaping: Shaping) -> Prepared:
             shorter than the rod is thick.
         RodError: the hold is not on the rod.
     """
+    from wrod.patterns.curve import runs_along_itself
     from wrod.patterns.rounding import round_corners
 
     resize, tolerance, hold = shaping.resize, shaping.tolerance, shaping.hold
@@ -106,6 +107,14 @@ def fit(curve, rod, shaping: Shaping) -> Prepared:
             "sharpest": rounding.sharpest,
             "bound": rounding.bound,
         }
+    twice = runs_along_itself(lambda s: curve.sample(s)[0][:, :2], curve.length, 2.0 * rod.radius)
+    if twice:
+        places = ", ".join(f"{a:.3f} to {b:.3f}" for a, b in twice[:5])
+        more = " and further on" if len(twice) > 5 else ""
+        notes.append(
+            f"lies on what is laid already at s = {places} m{more}: "
+            "simulations let a rod pass through itself, so no figure tells what it does there"
+        )
     return Prepared(curve, rod, tuple(notes), figures)
 
 

@@ -4,10 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.interpolate import BPoly, BSpline, PPoly, make_interp_spline
+from scipy.spatial import cKDTree
 
 from wrod.errors import PatternError
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+# Of a curve that is compared with itself.
+_MOST_POINTS = 10_000
 
 
 def integrate_heading(heading: PPoly, origin: np.ndarray) -> BSpline:
@@ -95,3 +98,24 @@ def arc_length(points: np.ndarray) -> np.ndarray:
     steps = points[..., 1:, :] - points[..., :-1, :]
     np.cumsum(np.sqrt((steps * steps).sum(-1)), axis=-1, out=lengths[..., 1:])
     return lengths
+
+
+def runs_along_itself(
+    sample: Callable[[np.ndarray], np.ndarray], length: float, width: float
+) -> list[tuple[float, float]]:
+    """Arc lengths (from, to) [m] between which a curve is nearer than `width` to a part of it that
+    came before, for longer than where it crosses that under more than 20 degrees.
+
+    Args:
+        sample: (n,) arc lengths to (n, 2) points [m].
+        length: of the curve [m].
+        width: of what lies along it [m].
+    """
+    s = np.linspace(0.0, length, int(np.clip(2.0 * length / width, 2, _MOST_POINTS)))
+    first, second = cKDTree(sample(s)).query_pairs(width, output_type="ndarray").T
+    # A bend as tight as a rod can take has turned round by then.
+    near = np.zeros(len(s) + 2, bool)
+    near[1 + np.maximum(first, second)[np.abs(s[first] - s[second]) > 5.0 * width]] = True
+    turns = np.flatnonzero(np.diff(near)).reshape(-1, 2)
+    runs = [(float(s[a]), float(s[b - 1])) for a, b in turns]
+    return [(a, b) for a, b in runs if b - a > 2.0 * width / np.sin(np.radians(20.0))]
