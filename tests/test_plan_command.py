@@ -324,6 +324,22 @@ def test_only_what_was_solved_is_said_to_help(capsys):
     assert now["robot"] == "sawyer" and "--robot" not in command
 
 
+def test_a_placement_that_has_to_be_given_up_is_said(monkeypatch):
+    from types import SimpleNamespace
+
+    from wrod.commands.plan_steps import _remedy
+    from wrod.robot import remedy
+
+    monkeypatch.setattr(remedy, "remedies", lambda *_: iter([{"table_height": -0.15}]))
+    arm = {"flange": None, "tip": None, "gripper_length": None}
+    tried = SimpleNamespace(branch=SimpleNamespace(placement=SimpleNamespace(z=-0.25)))
+    for placement, elsewhere in (("5,0,-0.25,0", True), ("auto", False)):
+        request = SimpleNamespace(placement=placement, **arm)
+        with planning("line", "--rod", "rope", "--out", "o", "--placement", placement):
+            said = _remedy(request, SimpleNamespace(best=tried), None, None, None, None)
+        assert said.startswith("placed elsewhere and " * elsewhere + "with the table 10 cm higher")
+
+
 def planning(*words):
     """The context of `wrod plan` with these words."""
     from wrod.commands.plan import command

@@ -211,7 +211,8 @@ def _remedy(request, failed, rod, curve, planned, shaping) -> str | None:
             lift = 100 * (change["table_height"] - failed.best.branch.placement.z)
             way = "higher" if lift > 0 else "lower"
             command = again(**change, placement="auto")
-            return f"with the table {abs(lift):.0f} cm {way} it is found: {command}"
+            elsewhere = "" if request.placement == "auto" else "placed elsewhere and "
+            return f"{elsewhere}with the table {abs(lift):.0f} cm {way} it is found: {command}"
         if "robot" in change and not other_arm:
             continue  # they are of the arm that was asked for
         change = _absolute(change, shaping)
