@@ -44,7 +44,7 @@ def test_bodies_meet_and_keep_their_momentum():
     """Of two bodies of cables of their own, one hits the other, beside its middle and afloat: they
     share their steps, and the momentum stays, to rounding; that of rotation within the step."""
     scene = Plugs([(0.0, 0.0, 0.0), (0.06, 0.012, 0.0)], gravity=0.0, ground=False, mu=0.3)
-    scene.begin([(0.5, 0.0, 0.0), (0.0, 0.0, 0.0)], tolerance=1e-9)
+    scene.begin(velocity=[(0.5, 0.0, 0.0), (0.0, 0.0, 0.0)], tolerance=1e-9)
     x = scene.run(40)
     assert not scene.solver.diverged.any()
     (group,) = scene.solver._groups

@@ -28,6 +28,8 @@ class Simulation:
         builder, model, solver, state: Newton's; the last three from `begin` on.
     """
 
+    label = "laid"  # of its bodies
+
     def __init__(self, gravity=(0.0, 0.0, -_G), mu: float = 0.5, density: float = 500.0):
         self.cfg = newton.ModelBuilder.ShapeConfig(density=density, mu=mu)
         self.builder = newton.ModelBuilder(gravity=tuple(gravity))
@@ -49,7 +51,7 @@ class Simulation:
 
     def _body(self, at, turn) -> int:
         turn = wp.quat_identity() if turn is None else turn
-        self._bodies.append(self.builder.add_body(xform=wp.transform(at, turn), label="laid"))
+        self._bodies.append(self.builder.add_body(xform=wp.transform(at, turn), label=self.label))
         return self._bodies[-1]
 
     def rod(self, points, material: RodMaterial = CABLE, **options) -> int:
@@ -61,8 +63,8 @@ class Simulation:
         self.solver = SolverDER(self.model, **({"bodies": self._bodies} | options))
         self.state = self.model.state()
 
-    def throw(self, body: int, velocity) -> None:
-        """Give a body a velocity [m/s]."""
+    def throw(self, body, velocity) -> None:
+        """Give a body, or bodies, a velocity [m/s]."""
         motion = self.state.body_qd.numpy().copy()
         motion[body, :3] = velocity
         self.state.body_qd.assign(motion)
@@ -80,8 +82,12 @@ class Simulation:
         """(3,) sum of the forces on the rods [N]."""
         return self.state.der.node_contact_f.numpy().sum(axis=0)
 
-    def weight(self, body: int) -> float:
-        return _G * float(self.model.body_mass.numpy()[body])
+    def weight(self, body: int | None = None) -> float:
+        """Of a body, or of all bodies and rods [N]."""
+        mass = self.model.body_mass.numpy()
+        if body is not None:
+            return _G * float(mass[body])
+        return _G * (float(mass[self._bodies].sum()) + self.model.der.node_mass.numpy().sum())
 
     def momentum(self) -> np.ndarray:
         """(6,) of all rods and bodies: linear, and angular about the origin, in float64."""
@@ -167,54 +173,41 @@ def over_its_block(device: str = "cpu") -> tuple[float, float, float]:
     der = simulation.model.der
     reaction = simulation.solver._groups[0].dynamics.reaction.numpy()[0]
     top = float(reaction.reshape(-1)[: 4 * 12].reshape(-1, 4)[-2:, 2].sum())
-    whole = simulation.weight(block) + _G * float(der.node_mass.numpy().sum())
     first, count = der.rod_first_node.numpy()[held], der.rod_node_count.numpy()[held]
     pressing = simulation.state.der.node_contact_f.numpy()[first : first + count]
-    return top, whole, float(pressing[:, 2].sum())
+    return top, simulation.weight(), float(pressing[:, 2].sum())
 
 
-class Plugs:
+class Plugs(Simulation):
     """Boxes or balls, each with a thread at its top, stepped with Newton's contacts.
 
     Attributes:
-        builder, model, solver, state, contacts: Newton's; the last from `begin` on.
         bodies: their indices.
+        contacts: Newton's, from `begin` on.
     """
+
+    label = "plug"
 
     def __init__(
         self, places, *, round_ones: bool = False, mu: float = 0.5, angle: float = 0.0,
-        ground: bool = True, gravity: float = 9.81,
+        ground: bool = True, gravity: float = _G,
     ):  # fmt: skip
-        self.cfg = newton.ModelBuilder.ShapeConfig(density=1000.0, mu=mu)
-        down = gravity * np.array([np.sin(angle), 0.0, -np.cos(angle)])
-        self.builder = builder = newton.ModelBuilder(gravity=tuple(down))
-        SolverDER.register_custom_attributes(builder)
+        super().__init__(gravity * np.array([np.sin(angle), 0.0, -np.cos(angle)]), mu, 1000.0)
         if ground:
-            builder.add_ground_plane(cfg=self.cfg)
+            self.builder.add_ground_plane(cfg=self.cfg)
         line = np.linspace(0.0, _THREAD_LENGTH, _THREAD_EDGES + 1)[:, None] * [0.0, 0.0, 1.0]
-        self.bodies = []
         for place in places:
-            body = builder.add_body(xform=wp.transform(place, wp.quat_identity()), label="plug")
-            if round_ones:
-                builder.add_shape_sphere(body, radius=SIZE, cfg=self.cfg)
-            else:
-                builder.add_shape_box(body, hx=SIZE, hy=SIZE, hz=SIZE, cfg=self.cfg)
-            SolverDER.add_rod(
-                builder, line + place, THREAD, start="clamped", start_body=body, visible=False,
-                internal_damping=0.01,
-            )  # fmt: skip
-            self.bodies.append(body)
+            body = self.ball(place) if round_ones else self.box(place, (SIZE, SIZE, SIZE))
+            self.rod(line + place, THREAD, start="clamped", start_body=body)
+        self.bodies = self._bodies
 
-    def begin(self, velocity=0.0, **options) -> None:
+    def begin(self, device: str = "cpu", velocity=0.0, **options) -> None:
         """Make model and solver; velocity (body, 3) of bodies and threads."""
-        self.model = model = self.builder.finalize(device="cpu")
-        self.solver, self.state = SolverDER(model, **options), model.state()
+        super().begin(device, bodies="free", **options)
         velocity = np.broadcast_to(np.asarray(velocity, dtype=float), (len(self.bodies), 3))
-        motion = self.state.body_qd.numpy().copy()
-        motion[self.bodies, :3] = velocity
-        self.state.body_qd.assign(motion)
+        self.throw(self.bodies, velocity)
         self.state.der.node_qd.assign(np.repeat(velocity, _THREAD_EDGES + 1, axis=0))
-        self._detection = newton.CollisionPipeline(model)
+        self._detection = newton.CollisionPipeline(self.model)
         self.contacts = self._detection.contacts()
 
     def run(self, steps: int, dt: float = _STEP, each=None) -> np.ndarray:
@@ -231,11 +224,6 @@ class Plugs:
     def pressed(self) -> np.ndarray:
         """(3,) sum of the forces with which the bodies of the first group press on others [N]."""
         return self.solver._groups[0].body_contact._force.numpy().sum(axis=0)
-
-    def weight(self) -> float:
-        """Of all bodies and threads [N]."""
-        mass = self.model.body_mass.numpy()[self.bodies].sum()
-        return 9.81 * (float(mass) + self.model.der.node_mass.numpy().sum())
 
 
 def acceleration(angle: float, *, round_ones: bool = False) -> float:
