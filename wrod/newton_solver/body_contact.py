@@ -36,7 +36,7 @@ class BodyContact:
     iteration: wp.array
 
     def __init__(self, model: newton.Model, bodies: Bodies):
-        self.model, self.bodies, self._size, self._room = model, bodies, 0, 0
+        self.model, self.bodies, self._room = model, bodies, 0
         device = model.device
         row, slot = np.full((2, model.body_count), -1, dtype=np.int32)
         for (r, s), record in np.ndenumerate(bodies.body.numpy()):
@@ -47,6 +47,7 @@ class BodyContact:
         owned.mass = model.body_mass
         self._detected = meetings.Detected()
         self._read = wp.zeros_like(model.body_q, requires_grad=False)
+        self._allocate(0)
         self.refresh()
 
     def refresh(self) -> None:
@@ -110,8 +111,7 @@ class BodyContact:
         """Keep it for the step `count` (row,) of accepted rows."""
         from wrod.kernels.stepping.meeting_adjoint import keep_bristles
 
-        inputs = [self._meeting, accepted, count, self._bristle] if self._size else []
-        self._launch(keep_bristles, inputs, [self._kept])
+        self._launch(keep_bristles, [self._meeting, accepted, count, self._bristle], [self._kept])
 
     def kept(self, steps: int) -> tuple[wp.array, ...] | None:
         """(meeting,) contacts of the step that was taken last, (step, meeting) what friction held,
@@ -133,53 +133,38 @@ class BodyContact:
             wp.launch(kernel, self._size, inputs, outputs, device=self.model.device)
 
     def _motion(self) -> list:
-        return [self.bodies.now, self.bodies.before, self._here, self._was] if self._size else []
+        return [self.bodies.now, self.bodies.before, self._here, self._was]
 
     def follow(self, duration: float, times: list, poses: list) -> None:
         """Put bodies that others move to where they are in a step: arguments of `carry_others`."""
-        if self._size:
-            inputs = [wp.float64(duration), self._meeting, *times, *poses]
-            self._launch(meetings.carry_others, inputs, [self._was, self._here])
+        inputs = [wp.float64(duration), self._meeting, *times, *poses]
+        self._launch(meetings.carry_others, inputs, [self._was, self._here])
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces and stiffness to those of the bodies."""
-        if self._size:
-            bodies = self.bodies
-            self._launch(
-                kernels.push_bodies,
-                [bodies.body, self._meeting, active, self.time_step, *self._motion()]
-                + [self._bristle],
-                [bodies.push, bodies.press],
-            )
+        bodies, motion = self.bodies, self._motion()
+        inputs = [bodies.body, self._meeting, active, self.time_step, *motion, self._bristle]
+        self._launch(kernels.push_bodies, inputs, [bodies.push, bodies.press])
 
     def refuse(self, converged, active, dof, dof_before) -> None:
         """Nothing is refused."""
 
     def find_touching(self, chosen, dof, dof_before, touching: wp.array) -> None:
         """Raise `touching` (row,) of the chosen rows to 1 where they touch, to 2 in an impact."""
-        if self._size:
-            inputs = [self.bodies.body, self._meeting, chosen, *self._motion()]
-            self._launch(kernels.find_meeting, inputs, [touching])
+        inputs = [self.bodies.body, self._meeting, chosen, *self._motion()]
+        self._launch(kernels.find_meeting, inputs, [touching])
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
-        if self._size:
-            self._launch(
-                kernels.settle_meeting,
-                [self.bodies.body, self._meeting, accepted, self.time_step, *self._motion()],
-                [self._bristle, self._force, self._place],
-            )
+        inputs = [self.bodies.body, self._meeting, accepted, self.time_step, *self._motion()]
+        outputs = [self._bristle, self._force, self._place]
+        self._launch(kernels.settle_meeting, inputs, outputs)
 
     def restart(self, chosen: wp.array) -> None:
         """Forget the friction of the chosen rows."""
-        if self._size:
-            self._launch(kernels.forget_meeting, [self._meeting, chosen], [self._bristle])
+        self._launch(kernels.forget_meeting, [self._meeting, chosen], [self._bristle])
 
     def add_loads(self, body_q: wp.array, force: wp.array, torque: wp.array) -> None:
         """Add what was done at the end of the last step to bodies that others move."""
-        if self._size:
-            self._launch(
-                kernels.measure_presses,
-                [self.model.body_com, self._meeting, self._force, self._place, body_q],
-                [force, torque],
-            )
+        inputs = [self.model.body_com, self._meeting, self._force, self._place, body_q]
+        self._launch(kernels.measure_presses, inputs, [force, torque])
