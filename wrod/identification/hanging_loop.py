@@ -7,6 +7,7 @@ not asked: ends and tangents there are fitted with the stiffness.
 import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.interpolate import CubicSpline
+from scipy.optimize import OptimizeResult, least_squares
 
 from wrod import arguments
 from wrod.errors import DataError
@@ -19,11 +20,12 @@ from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _EDGES = 80
 _FEWEST, _MOST = 20, 400  # points of the curve that are fitted
-_TRIES, _ITERATIONS = 4, 12
+_ENOUGH, _EVALUATIONS = 1e-3, 40  # share of the squares that a last step takes
 _DEGREE = 9  # of the curve from which equilibria are first sought
 # Of the loop's size: first guesses of L_gb.
 _GUESSES = (0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7)
 _STRETCH_RATIO = 1e4
+_UNLIKE = "no hanging rod fits these points; is y up, and is it one rod in a plane?"
 _PLANE = np.array([1.0, 1.0j])  # to points as complex numbers
 _STEPS = np.array([1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-3])  # of the differences
 
@@ -56,8 +58,8 @@ def measure_hanging_loop(points: np.ndarray) -> MeasuredLength:
     fit = _Fit(points, arc)
     found = fit.run()
     if found is None:
-        raise DataError("no hanging rod fits these points; is y up, and is it one rod in a plane?")
-    _, values, residual, jacobian = found
+        raise DataError(_UNLIKE)
+    values, residual, jacobian = found.x, found.fun, found.jac
     scatter = float(np.sqrt((residual**2).sum() / max(len(residual) - len(values), 1)))
     if scatter > 0.02 * fit.size:
         raise DataError(
@@ -119,43 +121,33 @@ class _Fit:
         ]
         return np.concatenate([[np.log(guess * self.size), 1.0], *ends])
 
-    def run(self):
-        """(cost, values, residual, jacobian), or None where no equilibrium is found."""
-        values, damping = self.start(), 1e-3
-        state = None if values is None else self.linearised(values)
-        if state is None:
+    def run(self) -> OptimizeResult | None:
+        """The best values with their residual (n,) and jacobian (n, 8) [m], or None where no
+        equilibrium is found."""
+        values = self.start()
+        if values is None or self.equilibria(values[None]) is None:
             return None
-        cost = float((state[0] ** 2).sum())
-        for _ in range(_ITERATIONS):
-            residual, jacobian = state
-            normal = jacobian.T @ jacobian
-            gained = False
-            for _ in range(_TRIES):
-                lifted = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12))
-                step = -np.linalg.solve(lifted, jacobian.T @ residual)
-                step *= min(1.0, 0.5 / max(np.abs(step).max(), 1e-12))
-                tried = self.linearised(values + step)
-                if tried is not None and (tried[0] ** 2).sum() < cost:
-                    gained = True
-                    break
-                damping *= 8.0
-            if not gained:
-                break
-            before, cost = cost, float((tried[0] ** 2).sum())
-            values, state, damping = values + step, tried, max(damping / 8.0, 1e-9)
-            if before - cost < 1e-3 * before:
-                break
-        return cost, values, *state
+        return least_squares(
+            self.residual, values, jac=self.rates, x_scale="jac", ftol=_ENOUGH,
+            max_nfev=_EVALUATIONS,
+        )  # fmt: skip
 
-    def linearised(self, values: np.ndarray):
-        """Residual (n,) and jacobian (n, 8) [m], or None."""
-        rows = np.vstack([values, values + np.diag(_STEPS), values - np.diag(_STEPS)])
-        lines = self.equilibria(rows)
+    def residual(self, values: np.ndarray) -> np.ndarray:
+        """(n,) [m]; where there is no equilibrium as if all points were a loop's size off."""
+        lines = self.equilibria(values[None])
+        return np.full(len(self.points), self.size) if lines is None else self.distance(lines[0])
+
+    def rates(self, values: np.ndarray) -> np.ndarray:
+        """(n, 8) of the residual [m], by central differences.
+
+        Raises:
+            DataError: a rod beside one that was found has no equilibrium.
+        """
+        lines = self.equilibria(np.vstack([values + np.diag(_STEPS), values - np.diag(_STEPS)]))
         if lines is None:
-            return None
-        off = np.stack([self.distance(line) for line in lines])
-        count = len(values)
-        return off[0], ((off[1 : 1 + count] - off[1 + count :]) / (2 * _STEPS[:, None])).T
+            raise DataError(_UNLIKE)
+        ahead, behind = np.split(np.stack([self.distance(line) for line in lines]), 2)
+        return ((ahead - behind) / (2 * _STEPS[:, None])).T
 
     def distance(self, line: np.ndarray) -> np.ndarray:
         """(n,) signed distance of the points from a curve (m, 2), positive on its left [m]."""
