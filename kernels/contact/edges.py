@@ -18,8 +18,8 @@ from wrod.kernels.contact.law import (
     note_touch,
     return_mapping,
 )
-from wrod.kernels.contact.rolling import held_turn
-from wrod.kernels.contact.shapes import shape_displacement, shape_turn
+from wrod.kernels.contact.rolling import edge_rolled
+from wrod.kernels.contact.shapes import shape_displacement
 from wrod.kernels.elastic.assembly import (
     add_block,
     add_column,
@@ -163,11 +163,9 @@ def hold_edge(m: Touchable, step: ContactStep, c: EdgeTouch, r: int, k: int, i: 
     out.tangential = held.tangential
     out.slides = held.slides
     if m.roll_friction[r, k] >= ZERO:
-        arm = wp.abs(m.radius[r, i])
-        turn = step.turned[r, k, i] + c.spun - shape_turn(m.shapes[r, k], wp.normalize(c.edge))
-        roll = held_turn(turn, c.stiffness * arm * arm, m.roll_friction[r, k] * law[0] * arm)
-        out.torque = roll[0]
-        out.turning = roll[1]
+        roll = edge_rolled(m, step, c.stiffness, law[0], r, k, i)
+        out.torque = roll.torque
+        out.turning = roll.stiffness
     return out
 
 

@@ -10,7 +10,7 @@ from wrod.kernels.contact.law import (
     return_mapping,
 )
 from wrod.kernels.contact.planes import touch
-from wrod.kernels.contact.rolling import held_turn, node_turn
+from wrod.kernels.contact.rolling import node_rolled
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 
 
@@ -75,11 +75,8 @@ def linearise_contact(
         out.friction = held.tangential
         out.push = held.pull - law[0] * n
         if model.roll_friction[r, 0] >= ZERO:
-            arm = model.radius[r, i]
-            turn = node_turn(step, r, 0, i)
-            limit = model.roll_friction[r, 0] * law[0] * arm
-            roll = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)
-            out.torque = roll[0]
-            out.roll = roll[1]
+            roll = node_rolled(model, step, law[0], r, 0, i)
+            out.torque = roll.torque
+            out.roll = roll.stiffness
     contact_out[r, i] = out
     coupling_out[r, i] = coupling

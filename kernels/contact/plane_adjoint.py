@@ -22,8 +22,8 @@ from wrod.kernels.contact.edge_adjoint import (
 )
 from wrod.kernels.contact.law import ContactStep, Touchable, coefficient, return_mapping
 from wrod.kernels.contact.planes import PLANE, Touch, touch
-from wrod.kernels.contact.rolling import by_logarithms
-from wrod.kernels.contact.rolling_adjoint import node_angle, node_rolled
+from wrod.kernels.contact.rolling import by_logarithms, node_rolled
+from wrod.kernels.contact.rolling_adjoint import node_angle
 from wrod.kernels.contact.shapes import BY_OTHERS
 from wrod.kernels.elastic.assembly import add_vector
 from wrod.kernels.elastic.frames import HALF, ZERO, node

@@ -71,7 +71,8 @@ def edge_rolled(
     k: int,
     i: int,
 ) -> Rolled:
-    turn = step.turned[r, k, i] + step.dof[r, 4 * i + 3] - step.dof_before[r, 4 * i + 3]
+    spun = step.dof[r, 4 * i + 3] - step.dof_before[r, 4 * i + 3]
+    turn = step.turned[r, k, i] + spun
     turn -= shape_turn(m.shapes[r, k], wp.normalize(edge(step.dof, r, i)))
     return rolled(turn, stiffness, wp.abs(m.radius[r, i]), m.roll_friction[r, k], force)
 
@@ -108,6 +109,14 @@ def node_turn(step: ContactStep, r: int, k: int, i: int) -> wp.float64:
     return turned - mean_angle(step.dof_before, r, i)
 
 
+@wp.func
+def node_rolled(
+    m: Touchable, step: ContactStep, force: wp.float64, r: int, k: int, i: int
+) -> Rolled:
+    turn = node_turn(step, r, k, i)
+    return rolled(turn, m.stiffness[r, i], m.radius[r, i], m.roll_friction[r, k], force)
+
+
 @wp.kernel
 def hold_roll(
     # Model:
@@ -132,19 +141,16 @@ def hold_roll(
         c = touch(model, step, r, k, i)
         if c.force > ZERO:
             law = present_force(model, c.depth, c.closing, step.span[r], r, i)
-            arm = model.radius[r, i]
-            turn = node_turn(step, r, k, i)
-            limit = model.roll_friction[r, k] * law[0] * arm
-            held = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)
+            held = node_rolled(model, step, law[0], r, k, i)
             inner = i > 0 and i < last
             share = wp.where(inner, HALF, ONE)
             for side in range(2):
                 a = 4 * i - 1 + 4 * side
                 if a > 0 and i + side <= last:
-                    add_component(gradient, r, a, share * held[0])
-                    add_entry(hessian, r, a, 0, share * share * held[1])
+                    add_component(gradient, r, a, share * held.torque)
+                    add_entry(hessian, r, a, 0, share * share * held.stiffness)
             if inner:
-                add_entry(hessian, r, 4 * i + 3, 4, share * share * held[1])
+                add_entry(hessian, r, 4 * i + 3, 4, share * share * held.stiffness)
 
 
 @wp.kernel
@@ -165,8 +171,6 @@ def settle_roll(
         turn = wp.float64(0.0)
         if c.force > ZERO:
             law = present_force(model, c.depth, c.closing, step.span[r], r, i)
-            arm = model.radius[r, i]
-            k_r = model.stiffness[r, i] * arm * arm
-            turn = node_turn(step, r, k, i)
-            turn = held_turn(turn, k_r, model.roll_friction[r, k] * law[0] * arm)[0] / k_r
+            held = node_rolled(model, step, law[0], r, k, i)
+            turn = held.torque / held.whole
         step.turned[r, k, i] = turn

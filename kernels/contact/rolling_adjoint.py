@@ -11,7 +11,7 @@ from wrod.kernels.contact.edge_adjoint import follow, hold
 from wrod.kernels.contact.edges import edge_touch
 from wrod.kernels.contact.law import ContactStep, Touchable, present_force
 from wrod.kernels.contact.planes import PLANE, touch
-from wrod.kernels.contact.rolling import Rolled, edge_rolled, follow_turn, node_turn, rolled
+from wrod.kernels.contact.rolling import Rolled, edge_rolled, follow_turn, node_rolled
 from wrod.kernels.elastic.assembly import add_vector
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge
 from wrod.kernels.linear.banded_lu import ALONE
@@ -38,15 +38,6 @@ def turn_edge(
     wp.atomic_add(m.roll, r, e, share * stiff)
     moment = share * h.torque / (TWO * wp.length_sq(edge(at.dof, r, e)))
     wp.atomic_add(m.moment, r, e, moment * at.tangent[r, e])
-
-
-@wp.func
-def node_rolled(
-    model: Touchable, step: ContactStep, force: wp.float64, r: int, k: int, i: int
-) -> Rolled:
-    turn = node_turn(step, r, k, i)
-    mu = model.roll_friction[r, k]
-    return rolled(turn, model.stiffness[r, i], model.radius[r, i], mu, force)
 
 
 @wp.kernel
