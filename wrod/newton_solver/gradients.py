@@ -183,14 +183,11 @@ class GroupGradients:
         group, adjoint = self.group, self._prepare()
         by_poses = gradient_of(ends.body_q, 7, group.device)
         hold, bodies, carried = group.hold, adjoint.bodies, self._carried
-        by_others = carried is not None or self._meetings is not None
-        needed = by_others or self._is_held
-        if by_poses.shape[0] == 0 and needed:
+        parts = [part for part in (carried, self._meetings) if part is not None]
+        if by_poses.shape[0] == 0 and (parts or self._is_held):
             raise RodError("the bodies of the model have no gradients: body_q requires none")
         by_before = None
-        if carried is not None:
-            carried.begin(taken)
-        if by_others:
+        if parts:
             by_before = wp.zeros_like(by_poses)
             if taken.wanted_of_poses is not None:
                 group.batch.launch(
@@ -213,23 +210,18 @@ class GroupGradients:
                     + [adjoint.held],
                     [adjoint.model.rest_length],
                 )
-
             if carried is not None:
-                carried.want(step, taken, by_before, by_poses)
+                carried.want(step)
 
         def place(step: Any) -> None:
-            if carried is not None:
-                carried.place(step, taken)
-            if self._meetings is not None:
-                self._meetings.recall(step)
+            for part in parts:
+                part.place(step)
 
-        if self._meetings is not None:
-            self._meetings.begin(taken, [by_before, by_poses])
+        for part in parts:
+            part.begin(taken, [by_before, by_poses])
         adjoint.go_back(taken.record, held, place)
-        if carried is not None:
-            carried.end()
-        if self._meetings is not None:
-            self._meetings.end(taken, gradient_of(ends.own[0], 7, group.device))
+        for part in parts:
+            part.end(gradient_of(ends.own[0], 7, group.device))
         adjoint.settle(taken.changed)
         if bodies is not None:
             self._want_bodies(bodies, taken, ends)

@@ -51,21 +51,22 @@ class MeetingGradients:
         if taken.wanted_of_meetings is not None:
             self._wanted, taken.wanted_of_meetings = taken.wanted_of_meetings, None
 
-    def recall(self, step: Any) -> None:
+    def place(self, step: Any) -> None:
         """Take up the step before of each row."""
         self._back += 1
         taken = self._taken
-        if taken is None or taken.meetings is None:
+        if taken is None:
             return
         self._batch.launch(find_begun, self._batch.rod_count, [step], [self._begun])
         times = [step.active, taken.changed, step.until, self._begun, step.span]
         inputs = [wp.float64(taken.duration), taken.meetings[0], *times]
         self._launch(carry_others, [*inputs, taken.poses_before, taken.poses], self._there[::-1])
 
-    def end(self, taken: Taken, by_read: wp.array) -> None:
+    def end(self, by_read: wp.array) -> None:
         """Let the start of the step be wanted for where friction held bodies since, of those that
         others move the poses that were read (`by_read`), and the step before for bristles."""
-        if self._taken is None or taken.meetings is None:
+        taken = self._taken
+        if taken is None:
             return
         bodies, (meeting, _, source, read) = self._bodies, taken.meetings
         inputs = [bodies.bodies.body, meeting, self._before, read, self._grip, self._grip_there]
