@@ -12,6 +12,8 @@ from itertools import product
 import numpy as np
 from scipy.linalg import eigh
 
+from wrod.rods.state import full_hessian
+
 # Shapes whose RMS distance is below this share of the free length are one equilibrium.
 _SAME = 1e-3
 # A stable equilibrium this near to the measured shape is the rod's.
@@ -203,15 +205,10 @@ def softest_mode(solver, at: _Tried) -> np.ndarray:
     band = batch.derivatives.hessian.numpy()
     free = batch.free.numpy() != 0
     out = np.zeros((len(band), batch.node_count, 3))
-    dofs, width = band.shape[1:]
     for r in np.flatnonzero(at.finite & (~at.reached | (at.negative > 0))):
-        full = np.zeros((dofs, dofs))
-        for k in range(width):
-            row = np.arange(k, dofs)
-            full[row, row - k] = full[row - k, row] = band[r, row, k]
         own = np.flatnonzero(free[r])
-        _, vectors = eigh(full[np.ix_(own, own)], subset_by_index=[0, 0])
-        vector = np.zeros(dofs + 1)
+        _, vectors = eigh(full_hessian(band[r])[np.ix_(own, own)], subset_by_index=[0, 0])
+        vector = np.zeros(batch.dof_count + 1)
         vector[own] = vectors[:, 0]
         move = vector.reshape(-1, 4)[:, :3]
         out[r] = move / max(np.linalg.norm(move, axis=1).max(), 1e-300)

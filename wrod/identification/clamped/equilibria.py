@@ -248,11 +248,8 @@ class ClampedSolver:
     def _walk_to(self, setups: Sequence[ClampedSetup], poses) -> np.ndarray:
         """From straight and untwisted to the reported poses, the gripper turning the short way."""
         (a, ra), (b, rb) = poses
-        start = (
-            a
-            + np.repeat([np.real(s.length) for s in setups], self.trial_count)[:, None]
-            * (ra[:, :, 2])
-        )
+        length = np.repeat([np.real(s.length) for s in setups], self.trial_count)
+        start = a + length[:, None] * ra[:, :, 2]
         turn = Rotation.from_matrix(np.swapaxes(ra, 1, 2) @ rb).as_rotvec()
         for step in range(1, _WAYPOINTS + 1):
             f = step / _WAYPOINTS

@@ -193,6 +193,11 @@ class _Best:
         return max(cost - count - 5.0 * np.sqrt(2.0 * count), 0.0) if self.race else 0.0
 
 
+def _stacked(active, states) -> tuple[np.ndarray, ...]:
+    """The state of a batch of the active candidates."""
+    return tuple(map(np.concatenate, zip(*(states[c] for c in active), strict=True)))
+
+
 class _Iteration:
     """Levenberg-Marquardt of one batch of candidates; each has its own damping."""
 
@@ -228,7 +233,9 @@ class _Iteration:
             if not active or self.laboratory.clock.over:
                 break
             if solver is None or solver.candidate_count != len(active):
-                solver = self._solver(active, states)
+                bases = [self.base] * len(active)
+                begin = _stacked(active, states)
+                solver = ClampedSolver(bases, device=self.laboratory.device, start=begin)
             setups = [self.models[c].setup(self.base, trial_values[c]) for c in active]
             reached = solver.solve(setups, walk=False)
             readings = solver.predict(setups)
@@ -268,7 +275,7 @@ class _Iteration:
                     matrix, rhs = normal[c]
                     if first and rhs @ solved(matrix, rhs) < self.least_gain[c]:
                         converged[c] = True
-            self._put_back(solver, active, states)
+            solver.restore(_stacked(active, states))
             done = []
             for c in active:
                 if normal[c] is None and nearer[c] < _NEARER_STARTS:
@@ -285,19 +292,6 @@ class _Iteration:
         for c in active:
             results[c] = self._result(c, normal[c], costs[c], False)
         return results
-
-    def _solver(self, active, states) -> ClampedSolver:
-        stacked = tuple(
-            np.concatenate([states[c][i] for c in active]) for i in range(len(states[0]))
-        )
-        return ClampedSolver(
-            [self.base] * len(active), device=self.laboratory.device, start=stacked
-        )
-
-    def _put_back(self, solver, active, states) -> None:
-        solver.restore(
-            tuple(np.concatenate([states[c][i] for c in active]) for i in range(len(states[0])))
-        )
 
     def _residual(self, c, k, values, setup, readings) -> np.ndarray:
         seen = self.laboratory.observed(self.models[c], values, setup, readings, k).real

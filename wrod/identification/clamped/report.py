@@ -262,19 +262,17 @@ def _found(laboratory: Laboratory, fit: Fit, selection: Selection) -> tuple[Foun
         ]
         scored = [*steps, fit, *(alone.get(e.name, fit) for e in effects)]
         after = laboratory.scores([f.model for f in scored], [f.values for f in scored])
-    found = []
-    for k, effect in enumerate(effects):
-        found.append(
-            FoundEffect(
-                effect.name,
-                effect.title,
-                effect.reference,
-                in_doubt(fit, k, selection.doubts, m),
-                after[k],
-                {"after_mm_with_this_effect_alone": after[len(effects) + k]},
-            )
+    return tuple(
+        FoundEffect(
+            effect.name,
+            effect.title,
+            effect.reference,
+            in_doubt(fit, k, selection.doubts, m),
+            after[k],
+            {"after_mm_with_this_effect_alone": after[len(effects) + k]},
         )
-    return tuple(found)
+        for k, effect in enumerate(effects)
+    )
 
 
 def _scores(laboratory: Laboratory, selection: Selection) -> list[dict]:

@@ -265,12 +265,8 @@ class Sensitivity:
                 here = shifted(known[name], r, sign)
                 moved[_SEEN_BY_YIELD[name]] = wp.array(here, dtype=array.dtype, device=self.device)
             law = never_bent(batch, shifted(number, number_rate, sign))
-            out += (
-                0.5
-                * sign
-                / step[:, None]
-                * self._gradient_of(inelastic_energy, there, law, **moved)
-            )
+            gradient = self._gradient_of(inelastic_energy, there, law, **moved)
+            out += 0.5 * sign / step[:, None] * gradient
 
     def _gradient_of(self, kernel, there: np.ndarray, number: wp.array, **moved) -> np.ndarray:
         """(rod, dof) gradient of an energy of the section of those rods that are `there`, with some

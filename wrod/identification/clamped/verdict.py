@@ -348,10 +348,8 @@ def _leanest_bic(fit: Fit, names: list[str]) -> float:
     no other rod than one with a twist. What leaving parameters out costs is taken from the
     Gaussian posterior.
     """
-    parameters, owner = (
-        fit.model.parameters,
-        [e.name for e in fit.model.effects for _ in e.parameters],
-    )
+    parameters = fit.model.parameters
+    owner = [e.name for e in fit.model.effects for _ in e.parameters]
     price = np.log(fit.effective_count)
     out: list[int] = []
     best, cost = fit.bic, 0.0
