@@ -164,7 +164,9 @@ class BodyContact:
         """Forget the friction of the chosen rows."""
         self._launch(kernels.forget_meeting, [self._meeting, chosen], [self._bristle])
 
-    def add_loads(self, body_q: wp.array, force: wp.array, torque: wp.array) -> None:
+    def add_loads(
+        self, body_com: wp.array, body_q: wp.array, force: wp.array, torque: wp.array
+    ) -> None:
         """Add what was done at the end of the last step to bodies that others move."""
-        inputs = [self.model.body_com, self._meeting, self._force, self._place, body_q]
+        inputs = [body_com, self._meeting, self._force, self._place, body_q]
         self._launch(kernels.measure_presses, inputs, [force, torque])

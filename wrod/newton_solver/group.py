@@ -99,6 +99,8 @@ class RodGroup:
         self.body_contact = None
         if owned is not None and colliding[owned["index"][owned["mass"] > 0]].any():
             self.body_contact = BodyContact(model, self.bodies)
+        both = self.shape_contact, self.body_contact
+        self._touched = [one for one in both if one is not None]
         contacts = [c for c in (self.contact, self.rod_contact, self.body_contact) if c is not None]
         self.dynamics = Dynamics(
             self.batch,
@@ -249,10 +251,8 @@ class RodGroup:
         self.batch.gravity.assign(self._gravity())
 
     def refresh_shapes(self) -> None:
-        if self.shape_contact is not None:
-            self.shape_contact.refresh()
-        if self.body_contact is not None:
-            self.body_contact.refresh()
+        for one in self._touched:
+            one.refresh()
 
     def step(
         self, state_in: State, contacts: Contacts | None, duration: float, step: float
@@ -371,21 +371,18 @@ class RodGroup:
     def add_loads(self, force: wp.array, torque: wp.array) -> None:
         """Add what rods do to bodies that others move: (body,) force, and torque about the centre
         of mass."""
-        batch = self.batch
-        inputs = [self.hold, self.model.body_com, batch.state.dof, batch.state.tangent]
+        batch, body_com = self.batch, self.model.body_com
+        inputs = [self.hold, body_com, batch.state.dof, batch.state.tangent]
         inputs += [self.dynamics.reaction, self.body_before]
         batch.launch(carrying.measure_loads, self.hold.shape, inputs, [force, torque])
-        if self.shape_contact is not None:
-            self.shape_contact.add_loads(self.model.body_com, self.body_before, force, torque)
-        if self.body_contact is not None:
-            self.body_contact.add_loads(self.body_before, force, torque)
+        for one in self._touched:
+            one.add_loads(body_com, self.body_before, force, torque)
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
         """Carry what is held, and shapes, to where their bodies are at the end of the step."""
         times = [running, self.changed, self.dynamics.until, time, step]
-        for contact in (self.body_contact, self.shape_contact):
-            if contact is not None:
-                contact.follow(self.duration, times, [self.body_before, self.body_q])
+        for one in self._touched:
+            one.follow(self.duration, times, [self.body_before, self.body_q])
         inputs = [self.hold, wp.float64(self.duration), *times, self.body_q]
         inputs += [self.held_position, self.held_rotation, start.tangent, start.director]
         batch = self.batch

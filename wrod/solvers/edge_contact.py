@@ -137,8 +137,7 @@ class EdgeContact:
 
     def add(self, step: ContactStep) -> None:
         out = self.batch.derivatives
-        if self.carried is not None:
-            self.carried.place(self.model.shapes, step.active)
+        self._place_carried(step.active)
         self.batch.launch_edges(
             kernels.edge_contact, [self.model, step], [out.gradient, out.hessian]
         )
@@ -151,16 +150,13 @@ class EdgeContact:
 
     def restart(self, chosen: wp.array, dof: wp.array) -> None:
         """Hide what lies deep inside shapes; it comes out as the chosen rods move on."""
-        if self.carried is not None:
-            self.carried.place(self.model.shapes, chosen)
+        self._place_carried(chosen)
         self.batch.launch_edges(depths.hide, [chosen, dof], [self.model, self._hidden])
 
     def find_touching(self, step: ContactStep, touching: wp.array) -> None:
-        if self.carried is not None:
-            self.carried.place(self.model.shapes, step.active, at_end=True)
+        self._place_carried(step.active, at_end=True)
         self.batch.launch_edges(kernels.find_touching, [self.model, step], [touching])
-        if self.carried is not None:
-            self.carried.place(self.model.shapes, step.active)
+        self._place_carried(step.active)
 
     def settle(self, step: ContactStep, slip: wp.array, force: wp.array) -> None:
         pushes = [self.push, self.moment]
@@ -169,10 +165,12 @@ class EdgeContact:
         inputs = [self._speed, step.span, step.active]
         self.batch.launch_edges(depths.swell, inputs, [self.model, self._hidden])
 
-    def _place_carried(self) -> None:
-        """Where bodies are now: a midpoint step leaves shapes halfway."""
+    def _place_carried(self, chosen: wp.array | None = None, at_end: bool = False) -> None:
+        """Put shapes of the chosen rods, all by default, to where their bodies are in a step, which
+        may have left them halfway."""
         if self.carried is not None:
-            self.carried.place(self.model.shapes, self.batch.every_rod)
+            chosen = self.batch.every_rod if chosen is None else chosen
+            self.carried.place(self.model.shapes, chosen, at_end)
 
     def add_energy(self, step: ContactStep, energy: wp.array) -> None:
         self._place_carried()
