@@ -7,7 +7,7 @@ planning manipulation tasks, 1989)."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -200,12 +200,7 @@ def find_grasps(transfer: Transfer, hand: Hand) -> list[Grasp]:
         # Half a turn about the fingers is the same grasp for the rod, and another for the arm.
         for slant, back in product(_SLANTS, (False, True)):
             angle = math.pi / 2 + math.radians(slant) * (-1 if back else 1)
-            turned = transfer
-            if back:
-                turned = Transfer(
-                    transfer.hand, transfer.first, transfer.last, transfer.poses,
-                    transfer.rod * [-1.0, -1.0, 1.0], False,
-                )  # fmt: skip
+            turned = replace(transfer, rod=transfer.rod * [-1.0, -1.0, 1.0]) if back else transfer
             grasp, low = _lowered(turned, hand, Grip(angle, math.pi), math.radians(slant))
             found.append((low, abs(slant), grasp))
     good = [item for item in found if item[0] >= 0.0]

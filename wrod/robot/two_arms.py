@@ -1,6 +1,6 @@
 """Two arms that do what two hands did in a film, clear of each other and of the table."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -86,12 +86,8 @@ def solve_two_arms(
     """
     if film.hands.shape[1] == 1:
         idle = np.repeat(film.hands[:1], len(film.time), axis=0)
-        film = HandFilm(
-            film.time,
-            np.concatenate([film.hands, idle], axis=1),
-            np.column_stack([film.closed[:, 0], np.zeros(len(film.time), dtype=bool)]),
-            film.rods,
-        )
+        closed = np.column_stack([film.closed, np.zeros_like(film.closed)])
+        film = replace(film, hands=np.concatenate([film.hands, idle], axis=1), closed=closed)
     with one_torch_thread():
         arm = load_robot(robot)
         model = CollisionModel(arm)
