@@ -209,7 +209,6 @@ def _table(cables: dict) -> str:
             rows.append(("left out", figures["left_out"]))
         first, before = rows[0][1]["rms_mm"], None
         for label, row in rows:
-            said = ", ".join(f"{name} {value:.1f}" for name, value in row["rms_mm"].items())
             share = ""
             if before is not None and label != "left out":
                 # Of the squares that the straight cable leaves, what this effect takes more.
@@ -218,21 +217,22 @@ def _table(cables: dict) -> str:
                     for name, value in row["rms_mm"].items()
                 )
             before = row["rms_mm"]
-            lines.append(
-                f"{cable}: {label}: {said}{share}; snapped {row['snapped']} of {row['cases']}"
-            )
+            lines.append(f"{cable}: {label}: {_distances(row, share)}")
         lines += _said(figures["parameters"])
         own = figures["yields"]
         rows = [("yielding for the lag", own)]
         rows += [("  left out", own["left_out"])] if "left_out" in own else []
-        for label, row in rows:
-            said = ", ".join(f"{name} {value:.1f}" for name, value in row["rms_mm"].items())
-            lines.append(f"{cable}: {label}: {said}; snapped {row['snapped']} of {row['cases']}")
+        lines += [f"{cable}: {label}: {_distances(row)}" for label, row in rows]
         lines += _said(own["parameters"])
         if "left_out" in figures:
             share = figures["left_out"]["inside_80_percent"]
             lines.append(f"  80 % intervals hold {100.0 * share:.0f} % of what is left out")
     return "\n".join(lines) + "\n"
+
+
+def _distances(row: dict, share: str = "") -> str:
+    said = ", ".join(f"{name} {value:.1f}" for name, value in row["rms_mm"].items())
+    return f"{said}{share}; snapped {row['snapped']} of {row['cases']}"
 
 
 def _said(parameters: dict) -> list[str]:

@@ -1,6 +1,5 @@
 """Scenes of `wrod bench newton --many`: many worlds, a graph of a step, piles."""
 
-import time
 from collections.abc import Iterator
 from functools import cache, partial
 
@@ -8,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from wrod.bench.newton_held import CABLE, ArmedDer, ArmedVbd, HeldDer, HeldVbd
-from wrod.bench.newton_piles import piles
+from wrod.bench.newton_piles import piles, seconds_of
 
 _WARM_UP = 4  # steps that compile and record
 
@@ -17,11 +16,7 @@ def tip_after(held, seconds: float) -> tuple[np.ndarray, float]:
     """Where the first world's tip is after a while [m], and the seconds that all of them took."""
     steps = 2 * round(0.5 * seconds / held.dt)
     held.advance(_WARM_UP)
-    wp.synchronize()
-    start = time.perf_counter()
-    held.advance(steps - _WARM_UP)
-    wp.synchronize()
-    took = (time.perf_counter() - start) * steps / (steps - _WARM_UP)
+    took = seconds_of(lambda: held.advance(steps - _WARM_UP)) * steps / (steps - _WARM_UP)
     tips = held.tips()
     if not np.allclose(tips, tips[0], atol=1e-4):
         return np.full(3, np.nan), took
@@ -68,11 +63,7 @@ def graph_of_a_step(device: str, worlds: int, edges: int, steps: int = 120) -> I
         held = HeldDer(worlds, edges, 1.0 / 120, device)
         go_on = held.advance if captured else held.launch
         go_on(_WARM_UP)
-        wp.synchronize()
-        start = time.perf_counter()
-        go_on(steps)
-        wp.synchronize()
-        took.append(1e3 * (time.perf_counter() - start) / steps)
+        took.append(1e3 * seconds_of(partial(go_on, steps)) / steps)
         tips.append(held.tips())
     yield {
         "scene": "step in a graph", "worlds": worlds, "edges": edges, "steps": steps,
@@ -94,11 +85,7 @@ def gradients_of_steps(device: str, worlds: int, edges: int, steps: int = 40) ->
     tips = wp.array(held.last, dtype=wp.int32, device=device)
 
     def timed(work) -> float:
-        wp.synchronize()
-        start = time.perf_counter()
-        work()
-        wp.synchronize()
-        return 1e3 * (time.perf_counter() - start) / steps
+        return 1e3 * seconds_of(work) / steps
 
     held.launch(_WARM_UP)
     plain = timed(lambda: held.launch(steps))

@@ -1,7 +1,7 @@
 """Piles of cables of `wrod bench newton`: wrod's and Newton's own, timed and looked into."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import newton
 import numpy as np
@@ -142,6 +142,15 @@ def deepest_of(lines: list[np.ndarray], radius: float) -> float:
     return float(max(0.0, 2.0 - np.linalg.norm(way, axis=1).min() / radius))
 
 
+def seconds_of(work: Callable[[], None]) -> float:
+    """What some work takes, and what it leaves a GPU to do."""
+    wp.synchronize()
+    start = time.perf_counter()
+    work()
+    wp.synchronize()
+    return time.perf_counter() - start
+
+
 def energy_of(dynamics: Dynamics) -> float:
     """All of a pile's energy [J]: what it gives back of that of contact is no gain."""
     return float(dynamics.energy()[0] + dynamics.contact_energy()[0])
@@ -157,11 +166,7 @@ def measure(heap, scene: str, solver: str, frames: int) -> dict:
     last = scale = energy_of(dynamics) if dynamics else 0.0
     before = dynamics.iteration_count.numpy()[0] if dynamics else 0
     while len(times) < frames and sum(times) < _PATIENCE:
-        wp.synchronize()
-        start = time.perf_counter()
-        heap.step(heap.frame)
-        wp.synchronize()
-        times.append(time.perf_counter() - start)
+        times.append(seconds_of(lambda: heap.step(heap.frame)))
         deep = deepest_of(heap.lines(), heap.radius)
         deepest = max(deepest, deep)
         if dynamics:
