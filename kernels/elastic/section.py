@@ -8,7 +8,7 @@ gradient and Hessian; kernels/elastic/bend_twist.py is the shortest example.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_hessian, add_number
+from wrod.kernels.elastic.assembly import add_number
 from wrod.kernels.elastic.bending import BendingResponse, add_stencil, make_bending
 from wrod.kernels.elastic.curvature import component, excess_curvature, stencil, symmetric
 from wrod.kernels.elastic.frames import HALF, TWO, ZERO
@@ -83,6 +83,22 @@ def make_section_energy(response: wp.Function, numbers: type) -> wp.Kernel:
         none = wp.vec2d(ZERO, ZERO)
         bend = _bending(s, rest, none, none, law, none, order)
         twist = twisting_moment(ZERO, here.moment[2], tangent[2, 2] / rest, s)
+        if order == 2:
+            turn = s.length_e * twist.e
+            for k in range(2):
+                b = tangent[k, 2] / rest
+                if b != ZERO:
+                    c = component(s, k)
+                    bend.ee += b * symmetric(c.e, turn)
+                    bend.ef += b * (wp.outer(c.e, turn) + wp.outer(turn, c.f))
+                    bend.ff += b * symmetric(c.f, turn)
+                    bend.e_te += b * (c.te * turn - c.e)
+                    bend.f_te += b * (c.te * turn - c.f)
+                    bend.e_tf += b * (c.tf * turn + c.e)
+                    bend.f_tf += b * (c.tf * turn + c.f)
+                    bend.te_te -= TWO * b * c.te
+                    bend.te_tf += b * (c.te - c.tf)
+                    bend.tf_tf += TWO * b * c.tf
         no_force = wp.vec3d(ZERO, ZERO, ZERO)
         no_stiffness = wp.mat33d()
         if energy_out.shape[0] > 0:
@@ -91,30 +107,5 @@ def make_section_energy(response: wp.Function, numbers: type) -> wp.Kernel:
             r, i, s, bend, twist, no_force, no_force, no_stiffness, no_stiffness,
             True, False, False, order, gradient_out, hessian_out,
         )  # fmt: skip
-        if order == 2:
-            for k in range(2):
-                b = tangent[k, 2] / rest
-                if b != ZERO:
-                    c = component(s, k)
-                    e = c.e / s.length_e
-                    f = c.f / s.length_f
-                    add_edge_hessian(
-                        hessian_out, r, i,
-                        b * symmetric(e, twist.e),
-                        b * (wp.outer(e, twist.f) + wp.outer(twist.e, f)),
-                        b * symmetric(f, twist.f),
-                    )  # fmt: skip
-                    add_angle_hessian(
-                        hessian_out,
-                        r,
-                        i,
-                        b * (c.te * twist.e - e),
-                        b * (c.te * twist.f - f),
-                        b * (c.tf * twist.e + e),
-                        b * (c.tf * twist.f + f),
-                        -TWO * b * c.te,
-                        b * (c.te - c.tf),
-                        TWO * b * c.tf,
-                    )
 
     return section_energy
