@@ -13,7 +13,7 @@ from wrod.kernels.grasping.contact_edge import (
 )
 from wrod.kernels.grasping.reading import rotation_rate
 from wrod.kernels.grasping.scratch import Scratch
-from wrod.kernels.grasping.straight_rod import WEIGHT, evaluate, gradient_rate, point, put_point
+from wrod.kernels.grasping.straight_rod import WEIGHT, evaluate, gradient_rate, point
 from wrod.kernels.linear.frontal import make_elimination
 
 eliminate, recover, _ = make_elimination(3)
@@ -76,9 +76,7 @@ def find_sensitivities(
         v = border.solve(border.matrix(scratch.condensed, slot, d, thrust), -f)
         node_1 = turn + v[0] * d
         grip = wp.vec3d(v[1], v[2], v[3])
-        put_point(scratch.motion, slot, 0, wp.vec3d(ZERO, ZERO, ZERO))
-        put_point(scratch.motion, slot, 1, node_1)
-        put_point(scratch.motion, slot, edges, grip)
+        border.put_motion(scratch.motion, slot, edges, node_1, v)
         recover(scratch.factor, slot, edges, ONE, scratch.motion)
         force = wp.vec3d(ZERO, ZERO, along_length * WEIGHT)
         force -= border.grip_gradient(scratch.condensed, slot)

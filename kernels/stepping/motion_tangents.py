@@ -77,43 +77,31 @@ def inertial_tangents(
     r, i, group = wp.tid()
     if pace.accepted[r] == 0:
         return
-    coefficient = pace.coefficient[r]
+    c = pace.coefficient[r]
     dt = pace.step[r]
     m = wp.min(r, mass.shape[0] - 1)
     zero = wp.vec3d(ZERO, ZERO, ZERO)
-    v = difference(coefficient, dt, node(dof, r, i), node(before, r, i), node(older, r, i))
-    a = difference(coefficient, dt, v, node(velocity_before, r, i), node(velocity_older, r, i))
+    v = difference(c, dt, node(dof, r, i), node(before, r, i), node(older, r, i))
+    a = difference(c, dt, v, node(velocity_before, r, i), node(velocity_older, r, i))
     g = gravity[m, i]
     damping = drag_matrix(v, linear_drag[m, i], quadratic_drag[m, i])
     last_column = wp.min(right_hand_side_out.shape[1], (group + 1) * per_thread)
     for j in range(group * per_thread, last_column):
-        dv = difference(
-            coefficient,
-            dt,
-            zero,
-            column_node(tangent_before, r, j, i),
-            column_node(tangent_older, r, j, i),
-        )
-        da = difference(
-            coefficient,
-            dt,
-            dv,
-            column_node(velocity_tangent_before, r, j, i),
-            column_node(velocity_tangent_older, r, j, i),
-        )
+        was = column_node(tangent_before, r, j, i)
+        dv = difference(c, dt, zero, was, column_node(tangent_older, r, j, i))
+        was = column_node(velocity_tangent_before, r, j, i)
+        da = difference(c, dt, dv, was, column_node(velocity_tangent_older, r, j, i))
         force = mass[m, i] * (da - gravity_rate[j, i]) + mass_rate[j, i] * (a - g)
         force += damping * dv
         force += drag_force(v, linear_drag_rate[j, i], quadratic_drag_rate[j, i])
-        for c in range(3):
-            right_hand_side_out[r, j, 4 * i + c] = -force[c]
+        for n in range(3):
+            right_hand_side_out[r, j, 4 * i + n] = -force[n]
         if i < mass.shape[1] - 1:
             k = 4 * i + 3
-            spin = (
-                coefficient[1] * tangent_before[r, j, k] + coefficient[2] * tangent_older[r, j, k]
-            ) / dt
-            turn = coefficient[0] * spin + coefficient[1] * velocity_tangent_before[r, j, k]
-            turn += coefficient[2] * velocity_tangent_older[r, j, k]
-            right_hand_side_out[r, j, k] = -spin_inertia * turn / dt
+            spin = difference(c, dt, ZERO, tangent_before[r, j, k], tangent_older[r, j, k])
+            spun = velocity_tangent_before[r, j, k]
+            faster = difference(c, dt, spin, spun, velocity_tangent_older[r, j, k])
+            right_hand_side_out[r, j, k] = -spin_inertia * faster
 
 
 @wp.kernel

@@ -6,8 +6,13 @@ and e_0 those at its start. Columns carry the rates of e_0 and z_0.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_edge_gradient
-from wrod.kernels.elastic.curvature import Stencil, component, excess_curvature, stencil
+from wrod.kernels.elastic.curvature import (
+    Stencil,
+    add_component_rate,
+    component,
+    excess_curvature,
+    stencil,
+)
 from wrod.kernels.elastic.frames import HALF, TWO
 from wrod.kernels.elastic.inelastic import ELASTIC, Flow, Inelastic, cell, flow, weight_of
 from wrod.kernels.elastic.model import ElasticModel
@@ -116,14 +121,9 @@ def yield_tangents(
         stiffer = rates.stiffness[j, i]
         more = rates.inelastic[j, i][1] * b + here.share * wp.vec2d(stiffer[0], stiffer[1])
         moment = wp.cw_mul(more, bend.now.z - bend.excess) + here.share * wp.cw_mul(b, z - change)
-        g_e = moment[0] * first.e + moment[1] * second.e
-        g_f = moment[0] * first.f + moment[1] * second.f
         row = r * kept.shape[1] + j
-        add_edge_gradient(right_hand_side, row, i, -g_e / s.length_e, -g_f / s.length_f)
-        turn_e = moment[0] * first.te + moment[1] * second.te
-        turn_f = moment[0] * first.tf + moment[1] * second.tf
-        wp.atomic_add(right_hand_side, row, 4 * i - 1, -turn_e)
-        wp.atomic_add(right_hand_side, row, 4 * i + 3, -turn_f)
+        add_component_rate(right_hand_side, row, i, s, first, -moment[0])
+        add_component_rate(right_hand_side, row, i, s, second, -moment[1])
 
 
 @wp.kernel
