@@ -8,7 +8,7 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import RodError
-from wrod.rods.discretisation import mesh_arrays, principal_directors
+from wrod.rods.discretisation import in_principal, mesh_arrays, principal_directors
 from wrod.rods.model import RodModel
 from wrod.rods.rotation import carried, unit
 
@@ -83,8 +83,7 @@ def _per_node(model: RodModel, rest, natural_curvature, natural_twist) -> dict[s
     arrays = mesh_arrays(model, np.concatenate([[0.0], np.cumsum(rest)]))
     nodes = {name: value[0] for name, value in arrays.items()}
     if natural_curvature is not None:
-        c, s = np.cos(model.principal_angle), np.sin(model.principal_angle)
-        nodes["natural_curvature"] = natural_curvature @ np.array([[c, -s], [s, c]])
+        nodes["natural_curvature"] = in_principal(natural_curvature, model.principal_angle)
     if natural_twist is not None:
         nodes["natural_twist"] = natural_twist
     return nodes

@@ -320,9 +320,9 @@ class Pattern:
             raise PatternError(
                 f"remainder length is {arguments.shown(length)}; give a positive number of metres"
             )
-        return self._redrawn(lead_in(self._heading, float(length)))
+        return self.redrawn(lead_in(self._heading, float(length)))
 
-    def _redrawn(self, heading: PPoly, **changed) -> Pattern:
+    def redrawn(self, heading: PPoly, **changed) -> Pattern:
         """The pattern with another heading, and with what else is `changed`."""
         kept: dict[str, Any] = {"origin": self._origin, "height": self._height}
         kept |= {name: getattr(self, name) for name in ("name", "source", "points", "noise")}
@@ -358,7 +358,7 @@ class Pattern:
             points = anchor + factor * (self.points - anchor)
         s = first * factor + factor * (self._heading.x - first)
         heading = PPoly(self._heading.c * powers[:, None], s)
-        return self._redrawn(heading, points=points, noise=self.noise * factor)
+        return self.redrawn(heading, points=points, noise=self.noise * factor)
 
     def reversed(self) -> Pattern:
         """The pattern from its last point to its first.
@@ -379,7 +379,7 @@ class Pattern:
             flipped[len(terms) - 1 - power] = (-1) ** power * value
         flipped = flipped[:, ::-1]
         flipped[-1] += np.pi
-        return self._redrawn(
+        return self.redrawn(
             PPoly(flipped, x[-1] - x[::-1]),
             origin=self._position(x[-1]),
             points=None if self.points is None else self.points[::-1],

@@ -80,15 +80,7 @@ def round_corners(
         spline, start, angle = _nearest(s, flat, angles, first, bound, smooth)
         heading = PPoly.from_spline(spline.antiderivative())
         heading.c[-1] += angle - float(heading(0.0))
-        other = Pattern(
-            heading,
-            start,
-            name=pattern.name,
-            source=pattern.source,
-            height=float(position[0, 2]),
-            points=pattern.points,
-            noise=pattern.noise,
-        )
+        other = pattern.redrawn(heading, origin=start)
         found = _compare(s, flat, other, sharpest, bound)
         if best is None or found.largest < best[1].largest:
             best = other, found

@@ -170,8 +170,6 @@ class RodBatch(BatchArrays):
         from wrod.rods.discretisation import mesh_arrays, principal_directors
 
         position = np.asarray(position, dtype=np.float64)
-        if position.ndim != 3 or position.shape[2] != 3:
-            raise RodError(f"rod positions have shape {position.shape}; give (rod, node, 3)")
         arrays = mesh_arrays(rods, arc_length, clamped=clamped, held=held)
         if gravity is not None:
             arrays["gravity"] = gravity
