@@ -18,7 +18,7 @@ from wrod.identification.motion.linearised import correlations_of, losses_of, pr
 from wrod.identification.motion.loading import motion_from_arrays
 from wrod.identification.motion.remembered import KnownSteps
 from wrod.identification.motion.selection import select_motion, verdict_of
-from wrod.identification.motion.solver import MotionRun
+from wrod.identification.motion.solver import MotionRun, Runs
 from wrod.identification.motion.tangents import COMPLEX_STEP
 
 RECORDINGS, FRAMES, MARKERS = 12, 16, 9
@@ -108,6 +108,31 @@ def test_twist_starts_where_newton_fails(measured, monkeypatch):
     run = MotionRun(rod.windows([0], frames=3), measured.rate, setup)
     run.begin()
     assert not run.finish()[2].any()
+
+
+@pytest.mark.parametrize("names", [("natural_curvature", "relaxation"), ("yielding",)])
+@pytest.mark.parametrize("substeps", [1, 2])
+def test_a_run_in_the_arrays_of_another_is_as_one_in_its_own(measured, names, substeps):
+    """Bit for bit, of other recordings and with other values; one of another kind has its own."""
+    rod, known = MotionLaboratory(measured), effects("motion")
+    model = Model(tuple(known[n] for n in ("stiffness", "internal_damping", *names)))
+    size = np.array([min(p.scale, 1.0) for p in model.parameters])
+    runs, alone = Runs(), []
+    for first, share in ((0, 0.1), (2, 0.05), (1, 0.2)):
+        values = share * size
+        given = rod.windows([first, first + 1]), measured.rate, model.setup(rod.base, values)
+        given = (*given, rod.rates(model, values))
+        run = runs.begun(*given, substeps=substeps)
+        found = run.finish()
+        runs.keep([run])
+        alone.append(MotionRun(*given, substeps=substeps))
+        assert run is not alone[-1] and run.kind == alone[0].kind
+        alone[-1].begin()
+        for own, apart in zip(found, alone[-1].finish(), strict=True):
+            np.testing.assert_array_equal(own, apart)
+        assert run.dynamics.is_recorded and len(runs._kept) == 1
+    other = runs.begun(*given[:3], substeps=substeps)
+    assert other is not run and other.kind != run.kind
 
 
 class _Linear(MotionLaboratory):

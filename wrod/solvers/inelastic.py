@@ -34,8 +34,12 @@ class InternalVariables:
         inputs = [batch.elastic_model, accepted, step, state.dof, state.director]
         batch.launch_inner(kernels.finish_flow, inputs, [batch.inelastic])
 
-    def restart(self, chosen: wp.array) -> None:
-        """The rods that are not 0 in `chosen` (rod,) have never been elsewhere."""
+    def forget(self, chosen: wp.array) -> None:
+        """The rods that are not 0 in `chosen` (rod,) have never been bent."""
         if self.batch.inelastic is not None:
             self.batch.launch_nodes(kernels.forget_flow, [chosen], [self.batch.inelastic])
-            self.finish(chosen, self._ever)
+
+    def restart(self, chosen: wp.array) -> None:
+        """They have never been elsewhere."""
+        self.forget(chosen)
+        self.finish(chosen, self._ever)

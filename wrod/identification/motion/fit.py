@@ -15,7 +15,7 @@ from wrod.identification.effect import Model
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.remembered import KnownSteps
 from wrod.identification.motion.setup import MotionSetup
-from wrod.identification.motion.solver import MotionRun
+from wrod.identification.motion.solver import MotionRun, Runs
 from wrod.identification.motion.tangents import COMPLEX_STEP
 from wrod.identification.motion.tension import base_setup
 from wrod.identification.motion.windows import Lacking, Windows, windows_of
@@ -103,6 +103,7 @@ class MotionLaboratory:
         self.base = base_setup(measurements, subdivisions)
         self.substeps, self.device = substeps, device
         self.misfit: float | None = None
+        self._runs = Runs()
 
     def windows(self, recordings, starts=(0,), frames=None) -> Windows:
         return windows_of(self.measurements, recordings, starts, frames)
@@ -130,14 +131,11 @@ class MotionLaboratory:
             count = max(1, min(usable_cores(), rods, round(np.sqrt(work / _SLICE))))
         runs = []
         for index in np.array_split(np.arange(rods), count):
-            run = MotionRun(
-                windows.part(index), self.measurements.rate, setup, rates, substeps=self.substeps,
-                device=self.device,
-            )  # fmt: skip
-            run.begin()
-            runs.append(run)
+            own = windows.part(index), self.measurements.rate, setup, rates
+            runs.append(self._runs.begun(*own, substeps=self.substeps, device=self.device))
         with ThreadPoolExecutor(count) as pool:
             x, rate, failed = zip(*pool.map(MotionRun.finish, runs), strict=True)
+        self._runs.keep(runs)
         return np.concatenate(x), np.concatenate(rate) if rates else None, np.concatenate(failed)
 
     def predict(self, windows: Windows, model: Model, values: np.ndarray) -> np.ndarray:

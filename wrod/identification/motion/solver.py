@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import warp as wp
@@ -20,6 +20,8 @@ from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _TOLERANCE = 1e-7
 _MAX_ITERATIONS = 25
+# Runs that are kept, and from how many time steps of nodes on recording is next to nothing.
+_MOST_KEPT, _LONG = 8, 60_000
 
 
 class MotionRun:
@@ -37,6 +39,7 @@ class MotionRun:
 
     Attributes:
         batch: the rods, one per window.
+        kind: what runs have to share of which one goes on in the arrays of the other.
         last: number of the last step, counted from the first frame.
         taken: number of the last one that all rods have been sent to.
         step_rate: steps per second.
@@ -82,6 +85,7 @@ class MotionRun:
             node_mass=values["mass"],
         )
         prescribe(self.batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
+        self._equilibria = EquilibriumSolver(self.batch)
         frames = w.held.shape[1]
         self.last = (frames - 1) * self.substeps
         place = setup.marker_node[1:-1].astype(np.int32)
@@ -89,7 +93,6 @@ class MotionRun:
         shape = (self.batch.rod_count, frames, self.place.shape[0])
         self.seen = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self.tangents = MotionTangents(self, setup, rates) if len(rates) else None
-        self._twist()
         # The material damps stretching as it damps bending.
         viscous = values["viscous_time"][:, [0, 1, 2, 0]]
         length, mass = values["rest_length"], values["mass"]
@@ -111,6 +114,20 @@ class MotionRun:
         self.dynamics.refuses_saddles = False
         self.taken = self.substeps
         self._sent = wp.zeros(1, dtype=wp.int32, device=device)
+        self._arrays = list(_arrays_of(self, set()))
+        laws = [id(kernel) for kernel, _ in self.batch.energies]
+        flags = self.batch.softens, self.dynamics.viscosity.relaxes, substeps, self.step_rate
+        self.kind = (*flags, *laws, *((a.shape, a.dtype) for a in self._arrays))
+
+    def instead_of(self, other: MotionRun) -> MotionRun:
+        """The `other`, of the same `kind`, as this one, which has not begun, in its own arrays:
+        what it has recorded goes on with it."""
+        for own, new in zip(other._arrays, self._arrays, strict=True):
+            wp.copy(own, new)
+        other.windows, other.first, other.taken = self.windows, self.first, self.taken
+        if self.tangents:
+            other.tangents.first = self.tangents.first
+        return other
 
     def prescribe(self, running, time, step, start: RodState) -> None:
         """Put the held edges where their grips are, and let Newton's method start near by."""
@@ -139,6 +156,7 @@ class MotionRun:
 
         What is recorded is whatever is launched meanwhile, by any thread: begin one after another.
         """
+        self._twist()
         batch, dynamics, tangents = self.batch, self.dynamics, self.tangents
         h, rods = self.frame_time, batch.rod_count
         first_dof = batch.state.dof.numpy().copy()
@@ -232,11 +250,13 @@ class MotionRun:
         even[:, 3::4] = np.linspace(even[:, 3], even[:, -4], batch.node_count - 1, axis=1)
         batch.state.dof.assign(even)
         batch.set_free(angles[None] & free)
+        self.dynamics.internal.forget(batch.every_rod)
         # What is found when it does not converge will do: what the steps need is a start.
-        EquilibriumSolver(batch).solve(tolerance=_TOLERANCE)
+        self._equilibria.solve(tolerance=_TOLERANCE)
         if self.tangents:
             self.tangents.begin(self._strains())
         batch.set_free(free)
+        self.dynamics.restart(batch.every_rod)
 
     def _strains(self) -> wp.array:
         """(rod, node) strains of the present configuration."""
@@ -247,3 +267,40 @@ class MotionRun:
             measure_strains, shape, [batch.every_rod, s.dof, s.director, s.reference_twist], [out]
         )
         return out
+
+
+class Runs:
+    """Runs one after another, which go on in the arrays of earlier ones of their kind: of short
+    motions most of the time goes into recording launches."""
+
+    def __init__(self) -> None:
+        self._kept: list[MotionRun] = []
+
+    def begun(self, *given, **options) -> MotionRun:
+        """A run of these arguments that has begun."""
+        run = MotionRun(*given, **options)
+        for k, other in enumerate(self._kept):
+            if other.kind == run.kind:
+                run = run.instead_of(self._kept.pop(k))
+                break
+        run.begin()
+        return run
+
+    def keep(self, runs: Sequence[MotionRun]) -> None:
+        """Take runs that have finished for others, but for long ones, which are large."""
+        sizes = [r.batch.rod_count * r.batch.node_count * r.last for r in runs]
+        self._kept += [r for r, size in zip(runs, sizes, strict=True) if size < _LONG]
+        del self._kept[:-_MOST_KEPT]
+
+
+def _arrays_of(thing: object, seen: set[int]) -> Iterator[wp.array]:
+    """The arrays of a run and of what it is made of, in the order in which they were made."""
+    if id(thing) in seen:
+        return
+    seen.add(id(thing))
+    if isinstance(thing, wp.array):
+        yield thing
+    elif isinstance(thing, dict | list | tuple) or hasattr(thing, "__dict__"):
+        own = thing if isinstance(thing, dict | list | tuple) else vars(thing)
+        for part in own.values() if isinstance(own, dict) else own:
+            yield from _arrays_of(part, seen)
