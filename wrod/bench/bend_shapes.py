@@ -6,6 +6,7 @@ times, and over and under decide what it is.
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.spatial import cKDTree
 
 from wrod.patterns.curve import arc_length
 from wrod.rods.material import RodMaterial
@@ -74,13 +75,16 @@ def _loop(radius: float, half_gap: float, centre: float, leg: float):
 
 def _crossings(one: np.ndarray, other: np.ndarray) -> list[tuple[int, int]]:
     """Segments of two plane polylines that cross, in the order of the first."""
-    found = []
-    start, along = other[:-1], np.diff(other, axis=0)
-    for i, (p, d) in enumerate(zip(one[:-1], np.diff(one, axis=0), strict=True)):
-        gap = start - p
-        area = d[0] * along[:, 1] - d[1] * along[:, 0]
-        area = np.where(area == 0.0, np.nan, area)
-        a = (gap[:, 0] * along[:, 1] - gap[:, 1] * along[:, 0]) / area
-        b = (gap[:, 0] * d[1] - gap[:, 1] * d[0]) / area
-        found += [(i, int(j)) for j in np.flatnonzero((a >= 0) & (a < 1) & (b >= 0) & (b < 1))]
-    return found
+    d, along = np.diff(one, axis=0), np.diff(other, axis=0)
+    # Segments that cross are no farther apart, from middle to middle, than half of both.
+    reach = 0.5 * sum(np.linalg.norm(steps, axis=1).max() for steps in (d, along))
+    middles = cKDTree(one[:-1] + 0.5 * d), cKDTree(other[:-1] + 0.5 * along)
+    near = enumerate(middles[0].query_ball_tree(middles[1], 1.001 * reach))
+    i, j = np.array([(i, j) for i, own in near for j in sorted(own)], dtype=int).reshape(-1, 2).T
+    gap, d, along = (other[j] - one[i]).T, d[i].T, along[j].T
+    area = d[0] * along[1] - d[1] * along[0]
+    area = np.where(area == 0.0, np.nan, area)
+    a = (gap[0] * along[1] - gap[1] * along[0]) / area
+    b = (gap[0] * d[1] - gap[1] * d[0]) / area
+    cross = (a >= 0) & (a < 1) & (b >= 0) & (b < 1)
+    return list(zip(i[cross].tolist(), j[cross].tolist(), strict=True))
