@@ -32,7 +32,8 @@ def batch_arrays(setups: Sequence[ClampedSetup]) -> dict[str, np.ndarray]:
             here["bending_stiffness"] = (1.0 - s.law[:, 1].sum()) * here["bending_stiffness"]
             for name, value in here.items():
                 own[name].append(_with_ghosts(value))
-            own["node_mass"].append(np.pad(s.line_mass * h * share + s.node_mass, 1))
+            mass = s.line_mass * h * share + s.node_mass
+            own["node_mass"].append(np.concatenate([[0.0], mass, [0.0]]))
             own["gravity"].append(s.gravity)
         for name, values in own.items():
             rows[name].append(_of_every_trial(setup, values))
@@ -104,9 +105,12 @@ def end_poses(setups: Sequence[ClampedSetup], keep=np.real):
 def dead_force(setups: Sequence[ClampedSetup]) -> np.ndarray:
     """(rod, node, 3) forces of the setups, none on the ghosts."""
     first = setups[0]
-    shape = (len(first.clamp_position), len(first.fraction), 3)
-    force = np.concatenate([np.broadcast_to(s.force, shape) for s in setups])
-    return np.pad(force, ((0, 0), (1, 1), (0, 0)))
+    trials, nodes = len(first.clamp_position), len(first.fraction)
+    dtype = np.result_type(*(s.force for s in setups))
+    out = np.zeros((len(setups), trials, nodes + 2, 3), dtype=dtype)
+    for own, setup in zip(out, setups, strict=True):
+        own[:, 1:-1] = setup.force
+    return out.reshape(-1, nodes + 2, 3)
 
 
 def full_shape(array: wp.array) -> tuple[int, ...]:

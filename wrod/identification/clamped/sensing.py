@@ -42,6 +42,7 @@ class View:
         self.tangent = edge / self.length
         self.director = batch.material_directors()
         self.gradient = batch.derivatives.gradient.numpy()[:, -END:].copy()
+        self._shares: dict[tuple, tuple] = {}
 
     def observe(
         self,
@@ -70,30 +71,37 @@ class View:
         for c in range(count) if wanted is None else np.flatnonzero(wanted).tolist():
             rods, setup = slice(c * trials, (c + 1) * trials), setups[c]
             rate = node_positions(step[rods])
-            q, tangent = self.position[rods] + i * rate, self._tangents(rods, rate)
+            q, tangent = self.position[rods] + i * rate, self._tangents(rods, rate, -1)[:, 0]
             gradient = self.gradient[rods] + i * reaction_rate[rods]
             result.force[c] = gradient[:, -7:-4] + gradient[:, -3:]
             arm = q[:, -1] - q[:, -2]
-            torque = np.cross(arm, gradient[:, -3:]) + gradient[:, -4:-3] * tangent[:, -1]
+            torque = np.cross(arm, gradient[:, -3:]) + gradient[:, -4:-3] * tangent
             # The banded Hessian is symmetric. The rate of the gradient in the frames that moved
             # along also holds the holonomy of turning the end's tangent, half the twisting moment
             # across it.
-            torque -= 0.5j * np.real(gradient[:, -4:-3]) * np.imag(tangent[:, -1])
+            torque -= 0.5j * np.real(gradient[:, -4:-3]) * np.imag(tangent)
             result.torque[c] = torque
-            nodes, shares = _marker_shares(setup)
+            # Set-ups share what no effect has changed.
+            seen = id(setup.marker_arc_length), id(setup.length)
+            if seen not in self._shares:
+                self._shares[seen] = setup, *_marker_shares(setup)
+            nodes, shares = self._shares[seen][1:]
             result.position[c] = _at(q, nodes, shares)
-            own = rods, step[rods], setup.principal_angle, tangent
+            own = rods, step[rods], setup.principal_angle
             result.frames[c] = partial(self._frames_at, *own, nodes, shares)
         return result
 
-    def _tangents(self, rods: slice, rate: np.ndarray) -> np.ndarray:
-        """(T, edge, 3) tangents of every edge, rates as imaginary parts, of nodes' rates."""
-        t, rate = self.tangent[rods], np.diff(rate, axis=1)
+    def _tangents(self, rods: slice, rate: np.ndarray, first: int = 0) -> np.ndarray:
+        """(T, edge, 3) tangents of the edges from `first` on, rates as imaginary parts, of nodes'
+        rates."""
+        t = self.tangent[rods, first:]
+        rate = rate[:, -t.shape[1] :] - rate[:, -t.shape[1] - 1 : -1]
         across = rate - np.sum(rate * t, axis=2, keepdims=True) * t
-        return t + 1j * COMPLEX_STEP * across / self.length[rods]
+        return t + 1j * COMPLEX_STEP * across / self.length[rods, first:]
 
-    def _frames_at(self, rods, step, principal: complex, tangent, nodes, shares) -> np.ndarray:
+    def _frames_at(self, rods, step, principal: complex, nodes, shares) -> np.ndarray:
         """(T, M, 3, 3) frames at the markers, rates as imaginary parts."""
+        tangent = self._tangents(rods, node_positions(step))
         t, t_rate, p = np.real(tangent), np.imag(tangent), self.director[rods]
         angle, spin = -np.real(principal), COMPLEX_STEP * step[:, 3::4] - np.imag(principal)
         m1 = np.cos(angle) * p[:, :, 0] + np.sin(angle) * p[:, :, 1]

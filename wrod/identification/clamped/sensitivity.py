@@ -4,7 +4,8 @@ At equilibrium the gradient of the energy vanishes, so a change of the model mov
 -H^-1 (rate of the gradient), H the Hessian that Newton's iteration already has.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import fields
 
 import numpy as np
 import warp as wp
@@ -40,6 +41,15 @@ _SEEN_BY_YIELD = {
     "bending_stiffness": "bending",
     "natural_curvature": "natural_curvature",
 }
+# What `batch_arrays` makes of a setup, and of which of its parts: of all but some.
+_LAID_OUT = (
+    "rest_length", "stretching_stiffness", "bending_stiffness", "twisting_stiffness",
+    "natural_curvature", "natural_twist", "softening", "node_mass", "gravity",
+)  # fmt: skip
+_BESIDE = {"yielding", "coupling", "wind", "force", "marker_arc_length"} | {
+    f"{end}_{part}" for end in ("clamp", "grip") for part in ("position", "rotation")
+}
+_OF_THE_ROD = tuple(f.name for f in fields(ClampedSetup) if f.name not in _BESIDE)
 # Share of these, and of the law's numbers, over which it is differenced.
 _DIFFERENCE = 1e-5
 
@@ -126,13 +136,21 @@ class Sensitivity:
         """(rod, column, dof) derivatives of the energy's gradient along the setups' imaginary
         parts."""
         batch = self.batch
-        every = [batch_arrays(setups) for setups in rates]
-        loads = [a["node_mass"][:, :, None] * a["gravity"][:, None] for a in every]
-        force = [load + dead_force(setups) for load, setups in zip(loads, rates, strict=True)]
-        force = np.pad(_rates_of(force), ((0, 0), (0, 0), (0, 0), (0, 1)))
-        out = -force.reshape(*force.shape[:2], -1)[:, :, :-1]
-        moved = {name: _rates_of([a[name] for a in every]) for name in every[0]}
-        model = {name: getattr(batch, name).numpy() for name in moved}
+        rods, count, nodes = batch.rod_count, len(rates), batch.node_count
+        model = {name: getattr(batch, name).numpy() for name in _LAID_OUT}
+        moved = {name: np.zeros((rods, count, *v.shape[1:])) for name, v in model.items()}
+        force = np.zeros((rods, count, nodes, 4))
+        for column, setups in enumerate(rates):
+            for own, setup in self._rows(setups):
+                if _moves(setup, _OF_THE_ROD):
+                    arrays = batch_arrays([setup])
+                    for name, value in arrays.items():
+                        moved[name][own, column] = _rate_of(value)
+                    load = arrays["node_mass"][:, :, None] * arrays["gravity"][:, None]
+                    force[own, column, :, :3] = _rate_of(load)
+                if _moves(setup, ("force",)):
+                    force[own, column, :, :3] += _rate_of(dead_force([setup]))
+        out = -force.reshape(rods, count, -1)[:, :, :-1]
         out += self._elastic_rates(model, moved)
         # The other terms of a law of bending neither stretch nor twist.
         none = ("stretching_stiffness", "twisting_stiffness")
@@ -145,19 +163,31 @@ class Sensitivity:
             here |= {name: np.zeros_like(model[name]) for name in none}
             own |= {name: np.zeros_like(moved[name]) for name in none}
             out += self._elastic_rates(model | here, moved | own)
-        coupling = _rates_of([coupling_of(setups) for setups in rates])
-        for column in range(len(rates)):
-            own = {name: rate[:, column] for name, rate in moved.items()}
-            self._add_coupling_rate(coupling[:, column], own, out[:, column])
-        laws = [inelastic_of(setups) for setups in rates]
+        coupling = np.zeros((rods, count, nodes, 2))
         # A law whose share begins at nothing is there in its own column only.
-        yielding, rate = np.max(np.real(laws), axis=0), _rates_of(laws)
+        yielding = np.real(inelastic_of(rates[0]))
+        rate = np.zeros((rods, count, nodes, 4))
+        for column, setups in enumerate(rates):
+            for own, setup in self._rows(setups):
+                if _moves(setup, ("coupling", "principal_angle")):
+                    coupling[own, column] = _rate_of(coupling_of([setup]))
+                if _moves(setup, ("yielding",)):
+                    law = inelastic_of([setup])
+                    yielding[own] = np.maximum(yielding[own], np.real(law))
+                    rate[own, column] = _rate_of(law)
+            known = {name: value[:, column] for name, value in moved.items()}
+            self._add_coupling_rate(coupling[:, column], known, out[:, column])
         there = yielding[..., 0].any(axis=1)
         for column in range(len(rates)) if there.any() else ():
             own = {name: moved[name][:, column] for name in _SEEN_BY_YIELD}
             if any(r[there].any() for r in (rate[:, column], *own.values())):
                 self._add_yielding_rate(there, yielding, rate[:, column], own, out[:, column])
         return out
+
+    def _rows(self, setups: Sequence[ClampedSetup]) -> Iterator[tuple[slice, ClampedSetup]]:
+        """The rods of every candidate, and its setup."""
+        for c, setup in enumerate(setups):
+            yield slice(c * self.trial_count, (c + 1) * self.trial_count), setup
 
     def _elastic_rates(self, model: dict, moved: dict) -> np.ndarray:
         """(rod, column, dof) derivatives of the elastic energy's gradient along rates of a model's
@@ -314,6 +344,16 @@ def _wind_rate(by_edge: np.ndarray, by_wind: np.ndarray, step: np.ndarray) -> np
     rate[:, :, 1:-2, :3] += half
     rate[:, :, 2:-1, :3] += half
     return rate.reshape(rods, columns, -1)[:, :, :-1]
+
+
+def _moves(setup: ClampedSetup, names: Iterable[str]) -> bool:
+    """Whether a setup's parameter moves any of these parts of it."""
+    parts = (getattr(setup, name) for name in names)
+    return any(np.iscomplexobj(part) and np.any(np.imag(part)) for part in parts)
+
+
+def _rate_of(value: np.ndarray) -> np.ndarray:
+    return np.imag(value) / COMPLEX_STEP
 
 
 def _rates_of(columns: Sequence[np.ndarray]) -> np.ndarray:
