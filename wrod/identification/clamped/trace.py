@@ -9,6 +9,7 @@ Bayes), so that noise leaves no print. Prints are ranked by the logarithm of the
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.memory import Memory, bent_before
@@ -18,7 +19,7 @@ from wrod.rods.rotation import node_frames
 KNOTS = 7
 # A print changes over the trials where first and last differ by so much of it, so many errors.
 _CHANGE, _SURE = 0.3, 4.0
-_AMPLITUDES = np.logspace(-4, 3, 43)
+_VARIANCES = np.logspace(-4, 3, 43) ** 2
 # Evidence of a print from which it is one [nats]; twice that is what an effect lowers the
 # information criterion by to join.
 SEEN = 5.0
@@ -185,8 +186,8 @@ def trace(
         residual = residual - own @ (own.T @ residual)
 
     def free(rates):
-        """Columns of readings as independent numbers, without what the model itself could take."""
-        columns = laboratory.whiten(rates, trials).reshape(len(residual), -1)
+        """Columns of independent numbers, without what the model itself could take."""
+        columns = rates.reshape(len(residual), -1)
         return columns - own @ (own.T @ columns)
 
     prints = []
@@ -200,7 +201,7 @@ def trace(
         together = Model((*beside.effects, *probe.effects))
         at = np.append(values, np.zeros(len(scale)))
         (rates,) = laboratory.rates(solver, [together], [at], laboratory.base, len(values))
-        rates = rates[trials] * scale
+        rates = laboratory.whiten(rates[trials] * scale, trials)
         jacobian = free(rates)
         profile = isinstance(probe.effects[0], ProbedProfile)
         prior = smooth_prior(len(components)) if profile else np.eye(len(scale))
@@ -209,7 +210,7 @@ def trace(
         change, _, _, by, _ = infer(free(rates * _order(trials)[:, None, None]), residual, prior)
         anew = 0.0
         if profile:
-            anew = infer(free(_apart(rates)), residual, np.kron(np.eye(len(trials)), prior))[0]
+            anew = _anew(rates, own, residual, prior)
         value, stderr, by = value * scale, stderr * scale, by * scale
         arc_length = None
         if profile:
@@ -236,12 +237,18 @@ def _memory_of(frames, tangents, laboratory: Laboratory) -> Memory:
     return Memory(bent_before(frames, tangents, laboratory.measurements.material.length))
 
 
-def _apart(rates: np.ndarray) -> np.ndarray:
-    """(t, R, t * P) rates of readings where each trial has numbers of its own."""
-    count, readings, width = rates.shape
-    apart = np.zeros((count, readings, count, width))
-    apart[np.arange(count), :, np.arange(count)] = rates
-    return apart.reshape(count, readings, -1)
+def _anew(rates, own, residual, prior) -> float:
+    """Log evidence of (t, R, P) rates where each trial has numbers of its own, beside what the
+    model itself could take, of which `residual` has nothing."""
+    rates = rates @ np.linalg.cholesky(prior)
+    trials, readings = rates.shape[:2]
+    gram = rates.mT @ rates
+    rhs = rates.mT @ residual.reshape(trials, readings, 1)
+    if own.shape[1]:
+        taken = np.hstack(list(own.reshape(trials, readings, -1).mT @ rates))
+        gram, rhs = (block_diag(*gram) - taken.T @ taken)[None], rhs.reshape(1, -1, 1)
+    size, vectors = np.linalg.eigh(gram)
+    return _likeliest(size.ravel(), (vectors.mT @ rhs).ravel())[0]
 
 
 def _order(trials) -> np.ndarray:
@@ -353,14 +360,9 @@ def infer(jacobian, residual, prior):
     root = np.linalg.cholesky(prior)
     whitened = jacobian @ root
     size, vectors = np.linalg.eigh(whitened.T @ whitened)
-    size = np.maximum(size, 0.0)
     projected = vectors.T @ (whitened.T @ residual)
-    best = (0.0, 0.0)
-    for amplitude in _AMPLITUDES**2:
-        shrunk = amplitude / (1.0 + amplitude * size)
-        gain = 0.5 * (projected**2 * shrunk).sum() - 0.5 * np.log1p(amplitude * size).sum()
-        best = max(best, (float(gain), float(amplitude)))
-    evidence, amplitude = best
+    evidence, amplitude = _likeliest(size, projected)
+    size = np.maximum(size, 0.0)
     shrunk = amplitude / (1.0 + amplitude * size)
     mean = root @ (vectors @ (shrunk * projected))
     spread = root @ (vectors * np.sqrt(shrunk))
@@ -369,3 +371,12 @@ def infer(jacobian, residual, prior):
     there = excess > _EXCESS * np.sqrt(2.0 * len(residual)) or (excess > 0.0 and evidence > SEEN)
     share = float((square - left @ left) / excess) if amplitude > 0.0 and there else 0.0
     return evidence, amplitude, min(share, 1.0), mean, np.sqrt((spread**2).sum(axis=1))
+
+
+def _likeliest(size: np.ndarray, projected: np.ndarray) -> tuple[float, float]:
+    """(evidence, variance) of a prior at its best, of columns whose products have these eigenvalues
+    and along whose eigenvectors the residual has these products; (0, 0) where none is the best."""
+    part = _VARIANCES[:, None] * np.maximum(size, 0.0)
+    gain = 0.5 * ((projected**2 * _VARIANCES[:, None] / (1.0 + part)) - np.log1p(part)).sum(axis=1)
+    k = int(np.argmax(gain))
+    return (float(gain[k]), float(_VARIANCES[k])) if gain[k] > 0.0 else (0.0, 0.0)
