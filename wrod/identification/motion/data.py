@@ -131,6 +131,11 @@ class MotionMeasurements:
         return np.stack([spline_lengths(self.positions[r, ::10]) for r in self.fit])
 
     @cached_property
+    def grip_paths(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """By recording what `wrod.identification.motion.windows` has found of its grips so far."""
+        return {}
+
+    @cached_property
     def marker_arc_length(self) -> np.ndarray:
         """(M,) arc length of each marker from the first [m]: of splines through the markers, the
         mean over the fitted recordings."""

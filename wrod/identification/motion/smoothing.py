@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from wrod.identification.motion.curves import through_markers
-from wrod.identification.motion.windows import Lacking, Windows, windows_of
+from wrod.identification.motion.windows import windows_at
 
 # Standard deviation of the Gaussian that paths are smoothed with, in time and at least [s, frames].
 _SMOOTH, _LEAST = 0.015, 1.2
@@ -47,16 +47,9 @@ def smoothed(m, setup, sampled, weights) -> SimpleNamespace:
     pieces = int(setup.marker_node[2] - setup.marker_node[1])
     position = m.positions.copy()
     position[recording, frame] = np.einsum("k,skmc->smc", weights[0], x)
-    smooth = replace(m, positions=position)
-    parts = [
-        windows_of(smooth, [r], frame[recording == r] - 1, 2) for r in dict.fromkeys(recording)
-    ]
-    fields = [k for k in vars(parts[0]) if k != "lacking"]
-    joined = {k: np.concatenate([getattr(p, k) for p in parts]) for k in fields}
-    windows = Windows(**joined, lacking=Lacking(lambda: np.zeros_like(joined["markers"])))
     nodes = through_markers(x, pieces, m.marker_arc_length)
     return SimpleNamespace(
-        windows=windows,
+        windows=windows_at(replace(m, positions=position), sampled - [0, 1], 2),
         weights=weights,
         position=through_markers(position[recording, frame], pieces, m.marker_arc_length),
         velocity=np.einsum("k,sknc->snc", weights[1], nodes),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -91,10 +91,15 @@ def windows_of(
     frames: int | None = None,
 ) -> Windows:
     """Windows of `frames` frames (default: all) that begin at each of `starts`."""
-    m = measurements
-    frames = m.frame_count if frames is None else min(frames, m.frame_count)
-    pairs = [(r, s) for r in recordings for s in starts if s + 3 <= m.frame_count]
-    recording, start = (np.array(a) for a in zip(*pairs, strict=True))
+    count = measurements.frame_count
+    frames = count if frames is None else min(frames, count)
+    pairs = [(r, s) for r in recordings for s in starts if s + 3 <= count]
+    return windows_at(measurements, np.array(pairs), frames)
+
+
+def windows_at(m: MotionMeasurements, pairs: np.ndarray, frames: int) -> Windows:
+    """Windows of `frames` frames that begin at (recording, frame) `pairs`."""
+    recording, start = pairs.T
     index = start[:, None] + np.arange(frames)
     seen = index < m.frame_count
     index = np.minimum(index, m.frame_count - 1)
@@ -102,9 +107,11 @@ def windows_of(
     time = clock[recording[:, None], index] - clock[recording, start + 1][:, None] + 1
     time[:, 0] = 0
     last = int(time.max())
-    whole = _true_time(m, clock, np.unique(recording))
+    whole = m.grip_paths
+    if missing := [r for r in dict.fromkeys(recording.tolist()) if r not in whole]:
+        whole.update(_true_time(m, clock, missing))
     held, director = [], []
-    for r, s in pairs:
+    for r, s in pairs.tolist():
         a = np.minimum(clock[r, s + 1] - 1 + np.arange(last + 1), clock[r, -1])
         held.append(whole[r][0][a])
         director.append(whole[r][1][a])
@@ -132,19 +139,26 @@ def _smoothed(path: np.ndarray, noise: float) -> np.ndarray:
     """A grip's (K, 4, 3) path by the widest local cubics from which it departs by no more than
     `noise` leaves. Two markers 30 mm apart that err by 0.05 mm shake a stiff rod by more than its
     own markers err, and a fit takes a drag that is not there to still it."""
-    from scipy.signal import savgol_coeffs, savgol_filter
+    from scipy.signal import savgol_filter
 
     for width in _WIDTHS:
         if width <= len(path):
             smooth = savgol_filter(path, width, 3, axis=0)
-            left = noise * np.sqrt(1.0 - savgol_coeffs(width, 3)[width // 2])
-            if np.sqrt(np.mean((smooth - path) ** 2)) <= _AS_NOISE * left:
+            if np.sqrt(np.mean((smooth - path) ** 2)) <= _AS_NOISE * noise * _left_by(width):
                 return smooth
     return path
 
 
+@cache
+def _left_by(width: int) -> float:
+    """Share of white noise that local cubics leave in what they take away."""
+    from scipy.signal import savgol_coeffs
+
+    return float(np.sqrt(1.0 - savgol_coeffs(width, 3)[width // 2]))
+
+
 def _true_time(
-    m: MotionMeasurements, clock: np.ndarray, recordings: np.ndarray
+    m: MotionMeasurements, clock: np.ndarray, recordings: Sequence[int]
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """Held markers (K, 4, 3) and directors (K, 2, 3) at every frame duration of each recording."""
     held = [_held(m, r, clock[r]) for r in recordings]
