@@ -84,18 +84,27 @@ class _Problem:
         self.target = target[:, :2] / lgb
         self.lengths = np.full(self.count, self.edge)  # of rod that each node but the last bears
         self.lengths[0] *= 0.5
+        self._at, self._statics = np.zeros(0), ()
 
     def statics(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Places (n + 1, 2), friction (n, 2) that the nodes but the last ask for, and the tangents
         (n, 2) and forces (n, 2) of edges."""
+        if np.array_equal(values, self._at):  # which distance, room and its slope ask for in turn
+            return self._statics
         n, angle = self.count, values[: self.count]
-        tangent = np.column_stack([np.cos(angle), np.sin(angle)])
-        curvature = np.r_[0.0, np.diff(angle) / self.edge, values[-1]]
-        shear = -_STIFFNESS * np.diff(curvature) / self.edge
+        tangent = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        curvature = np.zeros(n + 1)
+        curvature[1:n], curvature[n] = (angle[1:] - angle[:-1]) / self.edge, values[-1]
+        shear = -_STIFFNESS / self.edge * (curvature[1:] - curvature[:-1])
         force = values[n : 2 * n, None] * tangent + shear[:, None] * _left(tangent)
-        place = values[2 * n : -1] + self.edge * np.cumsum(np.vstack([[0, 0], tangent]), axis=0)
-        friction = -np.diff(force, axis=0, prepend=0.0) / self.lengths[:, None]
-        return place, friction, tangent, force
+        place = np.zeros((n + 1, 2))
+        np.cumsum(self.edge * tangent, axis=0, out=place[1:])
+        place += values[2 * n : -1]
+        friction = -force
+        friction[1:] += force[:-1]
+        friction /= self.lengths[:, None]
+        self._at, self._statics = values.copy(), (place, friction, tangent, force)
+        return self._statics
 
     def asked(self, values: np.ndarray) -> float:
         """The least coefficient of friction that holds all of the rod."""
