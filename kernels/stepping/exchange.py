@@ -24,27 +24,53 @@ class OutsideNode:
     ghost: int
 
 
+@wp.func
+def pull_of(
+    body: int, body_f: wp.array(dtype=wp.spatial_vector), e: wp.vec3d, side: wp.float64
+) -> wp.vec3d:
+    """What the wrench on the capsule of an edge e does to the node at its head (side -1) or tail
+    (1): half of the force, and a couple for what of the torque is across the edge."""
+    out = wp.vec3d()
+    if body >= 0:
+        w = body_f[body]
+        force = wp.vec3d(wp.spatial_top(w))
+        torque = wp.vec3d(wp.spatial_bottom(w))
+        out = wp.float64(0.5) * force + (side / wp.dot(e, e)) * wp.cross(torque, e)
+    return out
+
+
 @wp.kernel
 def find_changes(
     # Model:
     place: wp.array2d(dtype=OutsideNode),
+    body: wp.array2d(dtype=wp.int32),
     # State in:
     node_q: wp.array(dtype=wp.vec3d),
     node_qd: wp.array(dtype=wp.vec3d),
     edge_director: wp.array(dtype=wp.vec3d),
     edge_spin: wp.array(dtype=wp.float64),
+    body_f: wp.array(dtype=wp.spatial_vector),
     dof: wp.array2d(dtype=wp.float64),
     velocity: wp.array2d(dtype=wp.float64),
     written_director: wp.array2d(dtype=wp.vec3d),
     # State out:
+    load_out: wp.array2d(dtype=wp.vec3d),
     changed_out: wp.array(dtype=wp.int32),
 ):
-    """Say of which rows the state is not what `write_state` last gave out."""
+    """Give the nodes the forces on the capsules beside them, and say of which rows the state is not
+    what `write_state` last gave out. Launched over (row, node)."""
     r, b = wp.tid()
+    q = node(dof, r, b)
+    load = wp.vec3d()
+    if b < body.shape[1]:
+        load += pull_of(body[r, b], body_f, node(dof, r, b + 1) - q, wp.float64(-1.0))
+    if b > 0:
+        load += pull_of(body[r, b - 1], body_f, q - node(dof, r, b - 1), wp.float64(1.0))
+    load_out[r, b] = load
     p = place[r, b]
     if p.ghost != 0:
         return
-    same = node_q[p.node] == node(dof, r, b) and node_qd[p.node] == node(velocity, r, b)
+    same = node_q[p.node] == q and node_qd[p.node] == node(velocity, r, b)
     if same and p.owns != 0:
         same = edge_spin[p.edge] == velocity[r, 4 * b + 3]
         same = same and edge_director[p.edge] == written_director[r, b]
@@ -117,10 +143,18 @@ def read_frames(
     director_out[r, b] = wp.normalize(d)
 
 
+@wp.func
+def capsule_turn(z: wp.vec3d, director: wp.vec3d) -> wp.quatd:
+    """Rotation of a body on an edge, x along the director and z along the edge."""
+    x = wp.normalize(director - wp.dot(director, z) * z)
+    return wp.quat_from_matrix(wp.matrix_from_cols(x, wp.cross(z, x), z))
+
+
 @wp.kernel
 def write_state(
     # Model:
     place: wp.array2d(dtype=OutsideNode),
+    body: wp.array2d(dtype=wp.int32),
     # State in:
     dof: wp.array2d(dtype=wp.float64),
     velocity: wp.array2d(dtype=wp.float64),
@@ -135,12 +169,16 @@ def write_state(
     edge_director_out: wp.array(dtype=wp.vec3d),
     edge_spin_out: wp.array(dtype=wp.float64),
     written_director_out: wp.array2d(dtype=wp.vec3d),
+    body_q_out: wp.array(dtype=wp.transform),
 ):
+    """What rods do, with a body at the middle of every edge that has one. Launched over
+    (row, node)."""
     r, b = wp.tid()
     p = place[r, b]
     if p.ghost != 0:
         return
-    node_q_out[p.node] = node(dof, r, b)
+    q = node(dof, r, b)
+    node_q_out[p.node] = q
     node_qd_out[p.node] = node(velocity, r, b)
     node_contact_f_out[p.node] = shape_force[r, b] + rod_force[r, b]
     if p.owns != 0:
@@ -148,70 +186,8 @@ def write_state(
         edge_director_out[p.edge] = d
         edge_spin_out[p.edge] = velocity[r, 4 * b + 3]
         written_director_out[r, b] = d
-
-
-@wp.func
-def pull_of(
-    body: int, body_f: wp.array(dtype=wp.spatial_vector), e: wp.vec3d, side: wp.float64
-) -> wp.vec3d:
-    """What the wrench on the capsule of an edge e does to the node at its head (side -1) or tail
-    (1): half of the force, and a couple for what of the torque is across the edge."""
-    out = wp.vec3d()
-    if body >= 0:
-        w = body_f[body]
-        force = wp.vec3d(wp.spatial_top(w))
-        torque = wp.vec3d(wp.spatial_bottom(w))
-        out = wp.float64(0.5) * force + (side / wp.dot(e, e)) * wp.cross(torque, e)
-    return out
-
-
-@wp.kernel
-def pull_nodes(
-    # Model:
-    body: wp.array2d(dtype=wp.int32),
-    # State in:
-    body_f: wp.array(dtype=wp.spatial_vector),
-    dof: wp.array2d(dtype=wp.float64),
-    # State out:
-    load_out: wp.array2d(dtype=wp.vec3d),
-):
-    """Give the nodes the forces on the capsules beside them. Launched over (row, node)."""
-    r, b = wp.tid()
-    q = node(dof, r, b)
-    load = wp.vec3d()
-    if b < body.shape[1]:
-        load += pull_of(body[r, b], body_f, node(dof, r, b + 1) - q, wp.float64(-1.0))
-    if b > 0:
-        load += pull_of(body[r, b - 1], body_f, q - node(dof, r, b - 1), wp.float64(1.0))
-    load_out[r, b] = load
-
-
-@wp.func
-def capsule_turn(z: wp.vec3d, director: wp.vec3d) -> wp.quatd:
-    """Rotation of a body on an edge, x along the director and z along the edge."""
-    x = wp.normalize(director - wp.dot(director, z) * z)
-    return wp.quat_from_matrix(wp.matrix_from_cols(x, wp.cross(z, x), z))
-
-
-@wp.kernel
-def place_capsules(
-    # Model:
-    place: wp.array2d(dtype=OutsideNode),
-    body: wp.array2d(dtype=wp.int32),
-    # State in:
-    node_q: wp.array(dtype=wp.vec3d),
-    edge_director: wp.array(dtype=wp.vec3d),
-    # State out:
-    body_q_out: wp.array(dtype=wp.transform),
-):
-    """Put a body at the middle of every edge that has one."""
-    r, b = wp.tid()
-    if body[r, b] < 0:
-        return
-    p = place[r, b]
-    q = node_q[p.node]
-    u = node_q[p.node + 1]
-    z = wp.normalize(u - q)
-    turn = capsule_turn(z, edge_director[p.edge])
-    middle = wp.float64(0.5) * (q + u)
-    body_q_out[body[r, b]] = wp.transform(wp.vec3(middle), wp.quat(turn))
+        if body[r, b] >= 0:
+            u = node(dof, r, b + 1)
+            turn = capsule_turn(wp.normalize(u - q), d)
+            middle = wp.float64(0.5) * (q + u)
+            body_q_out[body[r, b]] = wp.transform(wp.vec3(middle), wp.quat(turn))

@@ -33,8 +33,7 @@ def want_written(
     by_body_q: wp.array2d(dtype=wp.float32),
     now: Wanted,
 ):
-    """Of `write_state` and `place_capsules`, whose poses were overwritten. Launched over
-    (row, node)."""
+    """Of `write_state`, whose poses were overwritten. Launched over (row, node)."""
     r, b = wp.tid()
     p = place[r, b]
     if count[r] == 0 or p.ghost != 0:

@@ -202,27 +202,19 @@ def record_frames(
 
 
 @wp.kernel
-def set_until(
+def begin_advance(
     # Model:
+    largest_step: wp.float64,
     duration: wp.float64,
     # State in and out:
     pace: Pace,
 ):
-    """Let every rod go on by a duration from a time of 0, so that rounding knows no clock."""
+    """Start the rods that have not reached their time, with the steps that they wanted last; a
+    duration that is not 0 is gone on by from a time of 0, so that rounding knows no clock."""
     r = wp.tid()
-    pace.time[r] = ZERO
-    pace.until[r] = duration
-
-
-@wp.kernel
-def begin_advance(
-    # Model:
-    largest_step: wp.float64,
-    # State in and out:
-    pace: Pace,
-):
-    """Start the rods that have not reached their time, with the steps that they wanted last."""
-    r = wp.tid()
+    if duration > ZERO:
+        pace.time[r] = ZERO
+        pace.until[r] = duration
     early = pace.time[r] < pace.until[r] - wp.float64(1.0e-9) * largest_step
     runs = wp.where(pace.diverged[r] == 0 and early, 1, 0)
     pace.running[r] = runs

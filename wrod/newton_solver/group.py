@@ -293,10 +293,9 @@ class RodGroup:
         state, shape = batch.state, self.place.shape
         self.changed.zero_()
         source = [der.node_q, der.node_qd, der.edge_director, der.edge_spin]
-        inputs = [self.place, *source, state.dof, dynamics.velocity, self.written_director]
-        batch.launch(exchange.find_changes, shape, inputs, [self.changed])
-        inputs = [self.capsules, state_in.body_f, state.dof]
-        batch.launch(exchange.pull_nodes, shape, inputs, [batch.point_load])
+        inputs = [self.place, self.capsules, *source, state_in.body_f, state.dof]
+        inputs += [dynamics.velocity, self.written_director]
+        batch.launch(exchange.find_changes, shape, inputs, [batch.point_load, self.changed])
         if self.bodies is not None:
             self.bodies.find_changes(state_in.body_q, state_in.body_qd, self.changed)
         anew = self._may_have_changed()
@@ -359,12 +358,11 @@ class RodGroup:
         batch.launch(
             exchange.write_state,
             self.place.shape,
-            [self.place, state.dof, dynamics.velocity, state.tangent, state.director, *forces],
+            [self.place, self.capsules, state.dof, dynamics.velocity, state.tangent]
+            + [state.director, *forces],
             [der.node_q, der.node_qd, der.node_contact_f, der.edge_director, der.edge_spin]
-            + [self.written_director],
+            + [self.written_director, state_out.body_q],
         )
-        inputs = [self.place, self.capsules, der.node_q, der.edge_director]
-        batch.launch(exchange.place_capsules, self.capsules.shape, inputs, [state_out.body_q])
         if self.bodies is not None:
             self.bodies.write(state_out.body_q, state_out.body_qd)
 

@@ -308,8 +308,7 @@ class Dynamics(NewtonSteps):
                 (CUDA before 12.4).
         """
         smallest = step * _SMALLEST_STEP
-        self._per_rod(pace.set_until, [wp.float64(duration)], [self.pace])
-        self._begin_advance(step)
+        self._begin_advance(step, duration)
 
         def take_round() -> None:
             self._take_round(step, smallest, None, 1.0)
@@ -352,8 +351,8 @@ class Dynamics(NewtonSteps):
         wp.synchronize_device(self.batch.device)
         return [(event.name, event.elapsed) for event in wp.timing_end()]
 
-    def _begin_advance(self, step: float) -> None:
-        self._per_rod(pace.begin_advance, [wp.float64(step)], [self.pace])
+    def _begin_advance(self, step: float, duration: float = 0.0) -> None:
+        self._per_rod(pace.begin_advance, [wp.float64(step), wp.float64(duration)], [self.pace])
 
     def _recorded(self, key: tuple) -> wp.Graph | None:
         """What was recorded for the same numbers and arrays."""
