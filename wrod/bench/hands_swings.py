@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.files import write_atomically
-from wrod.files.pictures import AFTER, FAINT, INK, MEASURED, as_png, dress, new_figure
+from wrod.files import write_figure
+from wrod.files.pictures import AFTER, FAINT, INK, MEASURED, dress, new_figure
 from wrod.identification.held.fit import HeldFit
 from wrod.identification.held.measurements import HeldSwing, load_swing
 from wrod.identification.held.swings import SwingFit, SwingModel, fit_swings, predict_swings
@@ -91,7 +91,7 @@ def draw(folder: Path, out: Path, statics: dict[str, HeldFit], predictions: dict
     for axis in axes[-1]:
         axis.set_xlabel("time [s]", fontsize=8)
     path = out / "swings.png"
-    return [write_atomically(path, lambda file: file.write(as_png(figure)), "wb")]
+    return [write_figure(path, figure)]
 
 
 def _left_out(swings, statics, yields, device) -> tuple[dict, dict]:

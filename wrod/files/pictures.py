@@ -15,10 +15,14 @@ def new_figure(width: float, height: float):
     return Figure(figsize=(width, height), facecolor="white", layout="constrained")
 
 
-def as_png(figure) -> bytes:
+def as_png(figure, dpi: int = 120, metadata: dict | None = None) -> bytes:
     """The figure as the bytes of a PNG file."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    # What draws it lays it out; `savefig` draws all of it once more for that.
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=120)
+    figure.set_dpi(dpi)
+    FigureCanvasAgg(figure).print_png(buffer, metadata=metadata)
     return buffer.getvalue()
 
 

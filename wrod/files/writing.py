@@ -14,6 +14,7 @@ from typing import Any
 
 from wrod import arguments
 from wrod.errors import DataError, needed_extras
+from wrod.files.pictures import as_png
 
 try:
     import fcntl
@@ -149,11 +150,11 @@ def write_npz(path: str | os.PathLike[str], **arrays: Any) -> Path:
     return write_atomically(path, lambda file: savez_compressed(file, **arrays), "wb")
 
 
-def write_figure(path: str | os.PathLike[str], figure: Any, dpi: int, **more: Any) -> Path:
-    """A figure of matplotlib as PNG, as `write_text`; `more` are options of its `savefig`."""
-    return write_atomically(
-        path, lambda file: figure.savefig(file, format="png", dpi=dpi, **more), "wb"
-    )
+def write_figure(
+    path: str | os.PathLike[str], figure: Any, dpi: int = 120, metadata: dict | None = None
+) -> Path:
+    """A figure of matplotlib as PNG, as `write_text`."""
+    return write_atomically(path, lambda file: file.write(as_png(figure, dpi, metadata)), "wb")
 
 
 @needed_extras()
