@@ -11,6 +11,7 @@ import time
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from hypothesis.internal.conjecture import providers
 
 FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
 # Of a test of many files, so that `make fuzz` ends [s of a processor]; what was tried is told.
@@ -18,6 +19,10 @@ LONGEST = 10
 # Hypothesis takes seconds to find what letters there are: the tests have those of Latin, and of
 # digits, fractions, marks and signs some that are none. `make fuzz` has all.
 LETTERS = "".join(map(chr, range(0x250))) + "٣३５𝟘½Ⅷ∞−٫\u202e\u2028\ufeff😀"
+if FUZZ == 1:
+    # What stands in source that is imported would be drawn, too: it takes seconds to find, and what
+    # the tests try would depend on what else was imported. `make fuzz` has it.
+    providers._get_local_constants = lambda: providers._local_constants
 
 
 def try_all(strategy, count: int, attempt) -> None:

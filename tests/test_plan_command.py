@@ -274,7 +274,7 @@ def test_a_pattern_is_laid_from_its_other_end(tmp_path):
 def test_what_is_tried_for_an_arm_lays_tight_bends_last():
     from wrod.commands.plan_pattern import Shaping, shorter
 
-    angle = np.linspace(0.0, 5 * np.pi, 2000)
+    angle = np.linspace(0.0, 3.5 * np.pi, 2000)
     out = (0.02 + 0.008 * angle)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     spiral, rod = wrod.Pattern.from_points(out), wrod.rod("green-vps")
     wanted = Shaping(None, 0.01, None)
@@ -350,7 +350,7 @@ def planning(*words):
 def test_sizes_are_tried_as_the_printed_command_plans_them(tmp_path, monkeypatch):
     from wrod.commands.robot_options import RobotRequest
 
-    angle = np.linspace(0.0, 5 * np.pi, 2000)
+    angle = np.linspace(0.0, 3.5 * np.pi, 2000)
     out = (0.02 + 0.012 * angle)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     np.savetxt(tmp_path / "spiral.csv", out, delimiter=",")
     tried = []

@@ -14,7 +14,7 @@ import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from forked import full_disk
+from forked import call, full_disk
 
 from wrod import side_by_side
 from wrod.commands import LazyGroup, main
@@ -99,11 +99,11 @@ def test_variables_that_a_library_cannot_read_are_named(name, tmp_path):
 
 def test_pictures_are_the_same_whatever_a_user_set_for_his_own(tmp_path):
     (tmp_path / "tex").write_text("text.usetex: True\nfigure.dpi: 20\nsavefig.bbox: tight\n")
-    made = []
-    for name, value in (("MATPLOTLIBRC", str(tmp_path / "tex")), ("MPLCONFIGDIR", str(tmp_path))):
-        made.append(tmp_path / f"{name}.png")
-        call = [sys.executable, "-m", "wrod", "show", "line", "--out", str(made[-1])]
-        subprocess.run(call, env=os.environ | {name: value}, check=True)
+    made = [tmp_path / "his.png", tmp_path / "ours.png"]
+    his, ours = (["show", "line", "--out", str(path)] for path in made)
+    around = os.environ | {"MATPLOTLIBRC": str(tmp_path / "tex")}
+    subprocess.run([sys.executable, "-m", "wrod", *his], env=around, check=True)
+    assert call(ours, tmp_path).code == 0
     assert made[0].read_bytes() == made[1].read_bytes()
 
 
