@@ -50,16 +50,28 @@ _GPU = (
     "skyline_lanes",
     "condensing",
 )
+_SUMS = "map_add"
 _HERE = Path(__file__).parent
 
 
 def leave_out_adjoints() -> str:
-    """Out of what is compiled of Newton's from now on; the folder that all is compiled to."""
+    """Out of what is compiled of Newton's from now on, and of sums; the folder that all is compiled
+    to."""
     import warp as wp
     import wrod.kernels  # noqa: F401  which starts Warp quietly
 
     for name in FORWARD:
         wp.get_module(f"newton._src.{name}").options["enable_backward"] = False
+    # Tapes add up adjoints of copies by kernels that Warp makes as it meets them, of a module that
+    # is compiled anew with each: here are all, in one order.
+    wp.get_module(_SUMS).options["enable_backward"] = False
+    for kind, sizes in (
+        (wp.spatial_vector, (1, 2)), (wp.transform, (2,)), (wp.float32, (2,)), (wp.float64, (2,)),
+        (wp.vec3d, (2,)),
+    ):  # fmt: skip
+        for size in sizes:
+            array = wp.zeros(size, dtype=kind, device="cpu")
+            wp.map(wp.add, array, array, out=array, return_kernel=True)
     return wp.config.kernel_cache_dir
 
 
@@ -72,7 +84,8 @@ def _compile(name: str) -> str | None:
             return ahead._compile("cpu", name)
         sys.path += [str(_HERE), str(_HERE / "physics")]
         leave_out_adjoints()
-        import_module(name)
+        if name != _SUMS:
+            import_module(name)
         wp.force_load("cpu", [wp.get_module(name)], block_dim=1)
     except Exception as error:
         return f"{name}: not compiled ({error})"
@@ -100,7 +113,7 @@ def _files() -> Iterator[tuple[str, Path]]:
 def main() -> int:
     """Compile them; how many were not."""
     names = [f"newton._src.{name}" for name in _NEWTON] + ahead._wanted(rare=True)
-    names += [f"wrod.kernels.linear.{name}" for name in _GPU]
+    names += [f"wrod.kernels.linear.{name}" for name in _GPU] + [_SUMS]
     names += [name for name, file in _files() if "\n@wp.kernel" in file.read_text()]
     jobs = min(usable_cores(), 8)  # each imports all that it may be asked for
     wrong = [said for _, said in run(_compile, [(name,) for name in names], jobs)]
