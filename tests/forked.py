@@ -149,7 +149,8 @@ def preload() -> None:
     for name in BENCHMARKS:
         main.get_command(context, "bench").get_command(context, name)
     for name in (
-        "cv2", "torch", "pxr.UsdGeom", "newton", "trimesh", "ezdxf", "svgelements", "xacro",
+        "cv2", "torch", "torch._dynamo", "pytorch_kinematics", "pxr.UsdGeom", "newton", "trimesh",
+        "ezdxf", "svgelements", "xacro",
         "matplotlib.figure", "scipy.optimize", "click.testing", "wrod.deployment.simulate",
         "wrod.robot.model", "wrod.perception.scan", "wrod.scene.render", "wrod.training.loop",
         "wrod.identification", "wrod.patterns.drawings",
