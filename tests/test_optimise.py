@@ -19,6 +19,7 @@ from wrod.deployment.expectation import (
     _stretches,
     balanced,
     expect,
+    independent,
     is_better,
     robot_error,
     rougher,
@@ -290,6 +291,23 @@ def test_a_correction_is_kept_for_what_it_saves_every_rod():
     # 1.5 standard errors; as rare as 1 of one are 1.41 of the best of two and 1.62 of three.
     lucky = told(0.9, 1.8, 2.8, 1.59)
     assert [is_better(lucky, before, among) for among in (1, 2, 3)] == [True, True, False]
+    # Two steps of one direction are one chance, and only what has to do with neither is another.
+    noise = np.random.default_rng(3).standard_normal((4, 60))
+    start, *others = (
+        {"error_robot": x, "diverged": 0, "beside": np.zeros((60, 4))}
+        for x in (np.zeros(60), -noise[0], -0.4 * noise[0], *noise[1:])
+    )
+    assert independent(others[:1], start) == pytest.approx(1.0)
+    assert independent(others[:2] + [start], start) == pytest.approx(1.0)
+    assert independent(others[1:3], start) == pytest.approx(2.0, abs=0.1)
+    assert independent(others[:3], start) == pytest.approx(9.0 / 5.0, abs=0.1)
+    assert independent(others[1:], start) == pytest.approx(4.0, abs=0.2)
+    # So the lucky one, of three of one direction, is taken.
+    way = np.subtract(lucky["error_robot"], before["error_robot"])
+    shorter = [told(*(before["error_robot"] + part * way)) for part in (0.4, 0.16)]
+    three = [Tried(np.ones(2), 0.0, (0, 0.0), one) for one in (lucky, *shorter)]
+    none = Tried(np.zeros(2), 0.0, (0, 1.0), before)
+    assert _chosen([none, *three]) is three[0]
     # Where no step promises anything there is nothing to doubt.
     none = Tried(np.zeros(2), 0.0, (0, 0.0), before)
     with warnings.catch_warnings():

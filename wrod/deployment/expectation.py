@@ -215,27 +215,53 @@ class Unseen:
         }
 
 
-def is_better(after: dict, before: dict, among: int = 1) -> bool:
+def is_better(after: dict, before: dict, among: float = 1.0) -> bool:
     """Whether a plan lays the same disturbed rods better than another, by what `expect` says of
     both: by more than the standard error of what they differ by, misplacement aside. The best
     `among` several has to be better by so much that chance makes none of them so any sooner."""
-    saved = np.array(before["error_robot"]) - np.array(after["error_robot"])
-    mean, doubt = balanced(saved, np.array(before["beside"]))
+    mean, doubt = balanced(_saved([after], before)[:, 0], np.array(before["beside"]))
     sure = -ndtri(ndtr(-_SURE) / among)
     return bool(after["diverged"] <= before["diverged"] and mean > sure * doubt)
+
+
+def independent(rivals: list[dict], before: dict) -> float:
+    """How many plans that have nothing to do with each other are as likely to beat another by
+    chance as these, by what `expect` says of them: 1 where all differ from it alike, as by steps of
+    one direction. Of their correlation that is the square of the sum of the eigenvalues over the
+    sum of their squares (Bretherton et al. 1999), which few rods make larger by chance."""
+    _, rest, free, _ = _beside_aside(_saved(rivals, before), np.array(before["beside"]))
+    rest = rest[:, rest.any(axis=0)]  # one that differs in nothing beats nothing
+    if rest.shape[1] < 2 or free < 2:
+        return float(max(rest.shape[1], 1))
+    shared = (free * np.corrcoef(rest.T) ** 2 - 1.0) / (free - 1.0)
+    return float(rest.shape[1] ** 2 / np.maximum(shared, 0.0).sum())
+
+
+def _saved(rivals: list[dict], before: dict) -> np.ndarray:
+    """(rod, plan) by which rods lie nearer by rivals than by another plan [m]."""
+    return np.array([np.subtract(before["error_robot"], x["error_robot"]) for x in rivals]).T
 
 
 def balanced(errors: np.ndarray, beside: np.ndarray) -> tuple[float, float]:
     """Mean of errors (rod,), and its standard error, as if the rods lay evenly about the middle,
     beside which they are by (rod, kind): of few rods one plan answers to a stiffer one and another
     to a softer one, and their sum is chance. What errors answer linearly to is taken out."""
-    count = len(errors)
-    design = np.column_stack([np.ones(count), beside])
+    mean, rest, _, doubt = _beside_aside(errors, beside)
+    return float(mean), float(doubt * np.linalg.norm(rest))
+
+
+def _beside_aside(
+    errors: np.ndarray, beside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int, float]:
+    """Mean (...) of errors (rod, ...) in the middle, their residuals (rod, ...), how many of these
+    are free, and the standard error of the mean over their norm."""
+    design = np.column_stack([np.ones(len(errors)), beside])
     fit, _, rank, _ = np.linalg.lstsq(design, errors)
-    if rank >= count:
-        return float(errors.mean()), float(errors.std(ddof=1) / np.sqrt(count))
-    variance = float(np.sum((errors - design @ fit) ** 2)) / (count - rank)
-    return float(fit[0]), float(np.sqrt(variance * np.linalg.pinv(design.T @ design)[0, 0]))
+    if rank >= len(errors):
+        design, fit, rank = design[:, :1], errors.mean(axis=0)[None], 1
+    free = len(errors) - int(rank)
+    doubt = np.sqrt(np.linalg.pinv(design.T @ design)[0, 0] / free)
+    return fit[0], errors - design @ fit, free, float(doubt)
 
 
 def robot_error(

@@ -26,7 +26,7 @@ from wrod.deployment.descent import (
     expected_error,
     paces,
 )
-from wrod.deployment.expectation import PACE, is_better, rougher
+from wrod.deployment.expectation import PACE, independent, is_better, rougher
 from wrod.deployment.spread import Spread, samples_of
 from wrod.deployment.together import Course, follow
 from wrod.patterns.pattern import Pattern
@@ -196,7 +196,7 @@ def course(
 def _chosen(tried: list[Tried]) -> Tried:
     """The best; none but what is clearly better than no correction where that might be the best."""
     best, none = min(tried, key=lambda one: one.order), tried[0]
-    doubted = none.expected is not None and not none.values.any()
-    if doubted and best is not none and not is_better(best.expected, none.expected, len(tried) - 1):
-        return none
-    return best
+    if none.expected is None or none.values.any() or best is none:
+        return best
+    among = independent([one.expected for one in tried[1:]], none.expected)
+    return best if is_better(best.expected, none.expected, among) else none
