@@ -69,12 +69,14 @@ def giving_of(laboratory, fit: Fit, end: str, has_play: bool) -> Giving:
 
 def giving_for(laboratory, fit: Fit, place: int) -> list[tuple[Effect, np.ndarray]]:
     """Ends that give, for which the effect at a place of a model may stand, with numbers to start
-    from: a turn of an end for either kind there, a softer stretch for soft ends."""
+    from: a turn of an end for either kind there, a softer stretch, or a profile of the stiffness
+    that may be lower at an end, for soft ends."""
     effect, values = fit.model.effects[place], fit.model.split(fit.values)[place]
     ways = {
         "clamp_rotation": [("clamp", True), ("clamp", False)],
         "grip_rotation": [("grip", True), ("grip", False)],
         "stretch": [("clamp", False), ("grip", False)],
+        "profile_of_stiffness": [("clamp", False), ("grip", False)],
     }.get(effect.name, [])
     found: list[tuple[Effect, np.ndarray]] = []
     for end, has_play in ways:
