@@ -84,9 +84,10 @@ class _Problem:
         self.target = target[:, :2] / lgb
         self.lengths = np.full(self.count, self.edge)  # of rod that each node but the last bears
         self.lengths[0] *= 0.5
-        self._at, self._statics = np.zeros(0), ()
+        self._at = np.zeros(0)
+        self._statics: tuple[np.ndarray, ...] = ()
 
-    def statics(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def statics(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """Places (n + 1, 2), friction (n, 2) that the nodes but the last ask for, and the tangents
         (n, 2) and forces (n, 2) of edges."""
         if np.array_equal(values, self._at):  # which distance, room and its slope ask for in turn
