@@ -12,6 +12,7 @@ from wrod.errors import DataError, WrodWarning
 from wrod.identification.effect import Model, effects
 from wrod.identification.motion.checks import inertia_share
 from wrod.identification.motion.fit import MotionLaboratory
+from wrod.identification.motion.inverse import rates_about
 from wrod.identification.motion.loading import load_motion, motion_from_arrays, sorted_grips
 from wrod.identification.motion.report import identify_motion
 from wrod.identification.motion.setup import START_L_GB
@@ -191,7 +192,7 @@ class Unled(MotionRun):
 def check_tangents(laboratory, model, values, frames):
     windows = laboratory.windows([0, 1], [5], frames=frames)
     _, rates, _ = laboratory.run(
-        windows, model.setup(laboratory.base, values), laboratory.rates(model, values)
+        windows, model.setup(laboratory.base, values), rates_about(laboratory.base, model, values)
     )
     for j, parameter in enumerate(model.parameters):
         if j % 3 and parameter.key.startswith("curvature_"):

@@ -14,6 +14,7 @@ from wrod.identification.motion import report, selection
 from wrod.identification.motion import solver as motion_solver
 from wrod.identification.motion.data import folds, noise_in_time, split_evenly, with_test
 from wrod.identification.motion.fit import Linearised, MotionLaboratory
+from wrod.identification.motion.inverse import rates_about
 from wrod.identification.motion.linearised import correlations_of, losses_of, promises_of
 from wrod.identification.motion.loading import motion_from_arrays
 from wrod.identification.motion.remembered import KnownSteps
@@ -121,7 +122,7 @@ def test_a_run_in_the_arrays_of_another_is_as_one_in_its_own(measured, names, su
     for first, share in ((0, 0.1), (2, 0.05), (1, 0.2)):
         values = share * size
         given = rod.windows([first, first + 1]), measured.rate, model.setup(rod.base, values)
-        given = (*given, rod.rates(model, values))
+        given = (*given, rates_about(rod.base, model, values))
         run = runs.begun(*given, substeps=substeps)
         found = run.finish()
         runs.keep([run])

@@ -360,3 +360,9 @@ class Model:
 
     def extended(self, effect: Effect) -> Model:
         return Model((*self.effects, effect))
+
+    def without(self, place: int, values: np.ndarray) -> tuple[Model, np.ndarray]:
+        """The model without the effect at a place, and its values."""
+        parts = self.split(values)
+        rest = Model((*self.effects[:place], *self.effects[place + 1 :]))
+        return rest, np.concatenate([*parts[:place], *parts[place + 1 :]])

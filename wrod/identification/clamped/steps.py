@@ -148,8 +148,7 @@ def exchanged(laboratory, best: Fit, candidates) -> tuple[Fit, list[Fit]]:
     tried, seen = 0, []
     while tried < places:
         # The effect in the first place makes room; one that stays moves to the end.
-        parts = best.model.split(best.values)
-        rest, values = Model(best.model.effects[1:]), np.concatenate(parts[1:])
+        rest, values = best.model.without(0, best.values)
         models, starts = [], []
         for effect in _described(candidates):
             if effect.name not in best.model.names:
@@ -180,13 +179,9 @@ def reordered(fit: Fit, places: Sequence[int]) -> Fit:
 
 def without(fit: Fit, kept: Sequence[Effect] = ()) -> tuple[list[Model], list[np.ndarray]]:
     """A model without each of its effects in turn, but for those to be kept, and its values."""
-    parts, models, starts = fit.model.split(fit.values), [], []
-    for place, one in enumerate(fit.model.effects):
-        if one not in kept:
-            rest = [i for i in range(len(parts)) if i != place]
-            models.append(Model(tuple(fit.model.effects[i] for i in rest)))
-            starts.append(np.concatenate([parts[i] for i in rest]))
-    return models, starts
+    places = [k for k, one in enumerate(fit.model.effects) if one not in kept]
+    found = [fit.model.without(place, fit.values) for place in places]
+    return [model for model, _ in found], [start for _, start in found]
 
 
 def pruned(laboratory, current: Fit, kept: Sequence[Effect] = ()) -> Fit:

@@ -13,10 +13,10 @@ import numpy as np
 from wrod.errors import RodError
 from wrod.identification.effect import Model
 from wrod.identification.motion.data import MotionMeasurements
+from wrod.identification.motion.inverse import rates_about
 from wrod.identification.motion.remembered import KnownSteps
 from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.solver import MotionRun, Runs
-from wrod.identification.motion.tangents import COMPLEX_STEP
 from wrod.identification.motion.tension import base_setup
 from wrod.identification.motion.windows import Lacking, Windows, windows_of
 from wrod.machine import usable_cores
@@ -224,15 +224,6 @@ class MotionLaboratory:
         shaken_by = np.mean(each) + 2.0 * np.std(each) / np.sqrt(count)
         return {"floor": float(np.hypot(m.noise_floor, shaken_by))}
 
-    def rates(self, model: Model, values: np.ndarray) -> list[MotionSetup]:
-        """Setups whose imaginary parts are the parameters' rates."""
-        out = []
-        for j in range(len(values)):
-            moved = np.asarray(values).astype(complex)
-            moved[j] += 1j * COMPLEX_STEP
-            out.append(model.setup(self.base, moved))
-        return out
-
     def linearise(self, windows: Windows, model: Model, values: np.ndarray) -> Linearised:
         """The misfit and its derivatives."""
         return Linearised(**self._recalled("linearised", self._linearised, windows, model, values))
@@ -257,7 +248,7 @@ class MotionLaboratory:
 
     def _linearised(self, windows: Windows, model: Model, values: np.ndarray) -> dict:
         setup = model.setup(self.base, values)
-        x, rate, failed = self.run(windows, setup, self.rates(model, values))
+        x, rate, failed = self.run(windows, setup, rates_about(self.base, model, values))
         seen, difference, root, cost, prior = self._misfit(windows, model, values, x)
         count = difference.size
         frames, recordings = seen.shape[1], len(np.unique(windows.recording))

@@ -123,10 +123,12 @@ def _of_nodes(linear: np.ndarray, nodal: np.ndarray) -> np.ndarray:
     return np.einsum("sqd,sd...->sq...", linear[:, :, node_columns(nodal.shape[1])], flat)
 
 
-def rates_about(setup: MotionSetup, model: Model) -> list[MotionSetup]:
-    """Setups whose imaginary parts are the rates of a model's parameters at zero."""
+def rates_about(
+    setup: MotionSetup, model: Model, values: np.ndarray | float = 0.0
+) -> list[MotionSetup]:
+    """Setups whose imaginary parts are the rates of a model's parameters, by default at zero."""
     step = 1j * COMPLEX_STEP * np.eye(len(model.parameters))
-    return [model.setup(setup, values) for values in step]
+    return [model.setup(setup, own) for own in values + step]
 
 
 def inverse_motion(

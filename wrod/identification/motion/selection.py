@@ -298,12 +298,11 @@ class _Selection:
         """Internal damping may count only beside effects that were found later."""
         first = self.rounds[0]
         place = now.model.names.index(BASE[2])
-        parts = now.model.split(now.values)
-        if first.accepted or len(now.model.effects) == len(BASE) or not parts[place][0] > 0.0:
+        damping = now.model.split(now.values)[place][0]
+        if first.accepted or len(now.model.effects) == len(BASE) or not damping > 0.0:
             return
-        rest = Model(tuple(e for i, e in enumerate(now.model.effects) if i != place))
-        values = np.concatenate([v for i, v in enumerate(parts) if i != place])
-        gain = 1.0 - now.validation / self._resolved(rest, values).validation
+        less = self._resolved(*now.model.without(place, now.values))
+        gain = 1.0 - now.validation / less.validation
         if gain >= LEAST_GAIN:
             reason = f"{first.reason}, with the later effects by {100 * gain:.1f} %"
             self.rounds[0] = replace(first, accepted=BASE[2], reason=reason)
@@ -315,11 +314,8 @@ class _Selection:
             if loss[effect.name] > _BUSY:
                 continue
             self.say(f"without {effect.name}")
-            keep = [e.name != effect.name for e in now.model.effects]
-            model = Model(tuple(e for e, k in zip(now.model.effects, keep, strict=True) if k))
-            parts = now.model.split(now.values)
-            values = np.concatenate([v for v, k in zip(parts, keep, strict=True) if k])
-            less = self._resolved(model, values)
+            place = now.model.names.index(effect.name)
+            less = self._resolved(*now.model.without(place, now.values))
             gain = 1.0 - now.validation / less.validation
             if gain < LEAST_GAIN:
                 reason = f"with the later effects it {_lowers(gain)}"
