@@ -13,6 +13,28 @@ WARP = 32
 TEAM = 128
 # Lanes of a row of more nodes than `LONG`.
 CROWD, LONG = 256, 256
+# For snippets whose lanes wait for each other: what they do each for themselves, which on a CPU are
+# loops over all, and numbers that each has of its own.
+TEAMWORK = f"""
+    const int TEAM = {TEAM};
+#if defined(__CUDA_ARCH__)
+#define WROD_SHARED __shared__
+#define WROD_TEAM for (int lane = threadIdx.x, once = 1; once; once = 0)
+#define WROD_FIRST_WARP if (threadIdx.x < 32)
+#define WROD_WAIT() __syncthreads()
+#define WROD_WARP_WAIT() __syncwarp()
+#define WROD_LANE_ARRAY(type, name, size) type name[size]
+#define WROD_OWN(name, m) name[m]
+#else
+#define WROD_SHARED
+#define WROD_TEAM for (int lane = 0; lane < TEAM; ++lane)
+#define WROD_FIRST_WARP
+#define WROD_WAIT()
+#define WROD_WARP_WAIT()
+#define WROD_LANE_ARRAY(type, name, size) type name[size][TEAM]
+#define WROD_OWN(name, m) name[m][lane]
+#endif
+"""
 
 
 def lanes(device: str, count: int = WARP) -> int:

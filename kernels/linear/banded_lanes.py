@@ -11,25 +11,11 @@ Compiled for a CPU the same source loops over the 32 lanes, so that it can be te
 """
 
 import warp as wp
+from wrod.kernels.linear.two_warps import LANES
 
-LANES = """
-#if defined(__CUDA_ARCH__)
-#define WROD_SHARED __shared__
-#define WROD_LANES for (int lane = threadIdx.x % 32, once = 1; once; once = 0)
-#define WROD_SYNC() __syncwarp()
-#define WROD_LANE_VALUE(type, name) type name = 0
-#define WROD_OWN(name) name
-#define WROD_FROM(name, source) __shfl_sync(0xffffffffu, name, source)
-#define WROD_TOUCH(pointer) asm volatile("prefetch.global.L1 [%0];" ::"l"(pointer))
-#else
-#define WROD_SHARED
-#define WROD_LANES for (int lane = 0; lane < 32; ++lane)
-#define WROD_SYNC()
-#define WROD_LANE_VALUE(type, name) type name[32] = {}
-#define WROD_OWN(name) name[lane]
-#define WROD_FROM(name, source) name[source]
-#define WROD_TOUCH(pointer) (void)(pointer)
-#endif
+SWEEP = (
+    LANES
+    + """
     const int BAND = 11, REACH = 10, STRIDE = 12, CHUNK = 32;
     // Row `at` of the window holds entries (a, a - k), k = 0...10; lanes that walk along a column
     // or a row meet no bank conflicts.
@@ -69,9 +55,10 @@ LANES = """
         } \\
     }
 """
+)
 
 _SOLVE = (
-    LANES
+    SWEEP
     + """
     const size_t begin = (size_t)r * factor_in.shape[1] + first;
     const double* factor = factor_in.data + begin * BAND;

@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ONE, ZERO
-from wrod.kernels.linear.banded_lanes import LANES
+from wrod.kernels.linear.banded_lanes import SWEEP
 
 BAND = wp.constant(2 * 10 + 1)
 # A right-hand side by itself, as a GPU has them.
@@ -72,7 +72,7 @@ assemble = make_assembly(NodeCoupled, node_coupled_entry)
 # of it at once, four a lane; left of the diagonal they stay L times the pivot until they are
 # written.
 _FACTORISE = (
-    LANES
+    SWEEP
     + """
     const int ROW = 21, WIDE = 22;
     const int n = factor.shape[1];
@@ -168,7 +168,7 @@ def substitute(factor: wp.array3d(dtype=wp.float64), r: int, p: int, x: wp.array
 
 # The window holds what the chunk's rows have left of the diagonal, then what they have from it on.
 _SUBSTITUTE = (
-    LANES
+    SWEEP
     + """
     const int ROW = 21;
     const int n = factor.shape[1];

@@ -10,28 +10,16 @@ Compiled for a CPU the same source loops over the lanes, so that it can be teste
 """
 
 import warp as wp
-from wrod.kernels.lanes import TEAM
+from wrod.kernels.lanes import TEAMWORK
 from wrod.kernels.linear.skyline_order import Skyline, is_solved
 
 # Numbers of a block in a column that is kept apart: one more than it has, against bank conflicts.
 STRIDE = 17
 
 _LANES = (
-    f"const int TEAM = {TEAM}, STRIDE = {STRIDE};"
+    TEAMWORK
+    + f"const int STRIDE = {STRIDE};"
     + """
-#if defined(__CUDA_ARCH__)
-#define WROD_SHARED __shared__
-#define WROD_TEAM for (int lane = threadIdx.x, once = 1; once; once = 0)
-#define WROD_WAIT() __syncthreads()
-#define WROD_LANE_ARRAY(type, name, size) type name[size]
-#define WROD_OWN(name, m) name[m]
-#else
-#define WROD_SHARED
-#define WROD_TEAM for (int lane = 0; lane < TEAM; ++lane)
-#define WROD_WAIT()
-#define WROD_LANE_ARRAY(type, name, size) type name[size][TEAM]
-#define WROD_OWN(name, m) name[m][lane]
-#endif
     const int n = first.shape[1];
     double* lines = (double*)(block.data) + (size_t)r * block.shape[1] * 4;
     // The profile is close at hand for rods of so many nodes; of longer ones it stays where it is.

@@ -10,7 +10,7 @@ diagonal, then the REACH blocks below that. How blocks of lanes share the work, 
 can be compiled for a CPU: `skyline_lanes`. Who calls this: `skyline_ends`.
 """
 
-from wrod.kernels.lanes import TEAM
+from wrod.kernels.lanes import TEAMWORK
 from wrod.kernels.linear.two_warps import RECIPROCAL
 
 # Rows of the window, and rows below a column's diagonal that fit: the newest is not looked at yet.
@@ -25,27 +25,10 @@ _AHEAD = 4
 # What its user defines: `stop` columns are eliminated, `reaches(b)` is the last row that column b
 # reaches, and WROD_BRING_ROW brings row b + ROWS.
 WINDOW = (
-    f"const int TEAM = {TEAM}, W = {ROWS}, REACH = {REACH}, STRIDE = {STRIDE}, COLUMN = {COLUMN};\n"
+    TEAMWORK + f"const int W = {ROWS}, REACH = {REACH}, STRIDE = {STRIDE}, COLUMN = {COLUMN};\n"
     f"#define WROD_AHEAD {_AHEAD}\n"
     + RECIPROCAL
     + """
-#if defined(__CUDA_ARCH__)
-#define WROD_SHARED __shared__
-#define WROD_TEAM for (int lane = threadIdx.x, once = 1; once; once = 0)
-#define WROD_FIRST_WARP if (threadIdx.x < 32)
-#define WROD_WAIT() __syncthreads()
-#define WROD_WARP_WAIT() __syncwarp()
-#define WROD_LANE_ARRAY(type, name, size) type name[size]
-#define WROD_OWN(name, m) name[m]
-#else
-#define WROD_SHARED
-#define WROD_TEAM for (int lane = 0; lane < TEAM; ++lane)
-#define WROD_FIRST_WARP
-#define WROD_WAIT()
-#define WROD_WARP_WAIT()
-#define WROD_LANE_ARRAY(type, name, size) type name[size][TEAM]
-#define WROD_OWN(name, m) name[m][lane]
-#endif
 #define WROD_UNROLL _Pragma("unroll")
     // Where the ring of a diagonal begins.
 #define WROD_RING(k) ((k) * W - (k) * ((k) - 1) / 2)

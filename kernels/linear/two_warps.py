@@ -22,10 +22,8 @@ RECIPROCAL = """
 #endif
 """
 
-# Eliminates rows, and the right-hand side where there is one, from as many SIDES as its user says.
-ELIMINATE = (
-    RECIPROCAL
-    + """
+# What lanes of a warp do.
+LANES = """
 #if defined(__CUDA_ARCH__)
 #define WROD_SHARED __shared__
 #define WROD_ENDS for (int end = threadIdx.x / 32, once = 1; once; once = 0)
@@ -38,6 +36,7 @@ ELIMINATE = (
 #define WROD_OWN_ENTRY(name, m) name[m]
 #define WROD_FROM(name, source) __shfl_sync(0xffffffffu, name, source)
 #define WROD_BALLOT(bits, name) bits = __ballot_sync(0xffffffffu, name)
+#define WROD_TOUCH(pointer) asm volatile("prefetch.global.L1 [%0];" ::"l"(pointer))
 #define WROD_SEND(to, from) \\
     asm volatile("cp.async.ca.shared.global [%0], [%1], 8;" \\
                  ::"r"((unsigned)__cvta_generic_to_shared(to)), "l"(from))
@@ -58,9 +57,17 @@ ELIMINATE = (
 #define WROD_BALLOT(bits, name) \\
     bits = 0; \\
     for (int lane = 0; lane < 32; ++lane) bits |= (unsigned)(name[lane] != 0) << lane
+#define WROD_TOUCH(pointer) (void)(pointer)
 #define WROD_SEND(to, from) *(to) = *(from)
 #define WROD_ARRIVE()
 #endif
+"""
+
+# Eliminates rows, and the right-hand side where there is one, from as many SIDES as its user says.
+ELIMINATE = (
+    RECIPROCAL
+    + LANES
+    + """
     const int BAND = 11, REACH = 10, CHUNK = 32, ROWS = CHUNK + REACH;
     // A window holds rows of the entries (a, a - k), k = 0...10, of what is left, then of L and D;
     // then the rows' diagonal as it was, against which pivots that cancel are measured; then their
