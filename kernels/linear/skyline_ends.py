@@ -30,8 +30,8 @@ _MEETING = (
     f"const int LEFT = {_LEFT}, SIDES = LEFT - 8 * {REACH}, SIZES = LEFT - 4 * {REACH};"
     + WINDOW
     + """
-    const int n = last.shape[1];
-    const int* ends = last.data + (size_t)r * n;
+    const int n = skyline.last.shape[1];
+    const int* ends = skyline.last.data + (size_t)r * n;
     const int width = ends[n / 2] - n / 2, before = width < n ? (n - width) / 2 : 0;
     const int behind = before > 0 ? ends[before - 1] + 1 : 0, middle = behind - before;
     double* scratch = factor.data + (size_t)r * factor.shape[1];
@@ -44,10 +44,10 @@ _FROM_AN_END = (
     + """
     const int dofs = gradient.shape[1];
     const double* lines = (double*)(block.data) + (size_t)r * block.shape[1] * 4;
-    const int* starts = first.data + (size_t)r * n;
-    const int* rows = row.data + (size_t)r * n;
+    const int* starts = skyline.first.data + (size_t)r * n;
+    const int* rows = skyline.row.data + (size_t)r * n;
     const int* open = free.data + (size_t)r * dofs;
-    const int* nodes = order.data + (size_t)r * n;
+    const int* nodes = skyline.order.data + (size_t)r * n;
     const double* load = gradient.data + (size_t)r * dofs;
     double* far = y.data + (size_t)r * 4 * n;
     int* mine = reached.data + (size_t)r * n;
@@ -171,10 +171,7 @@ _FROM_AN_END = (
 @wp.func_native(_FROM_AN_END)
 def eliminate_from_an_end(
     free: wp.array2d(dtype=wp.int32),
-    order: wp.array2d(dtype=wp.int32),
-    first: wp.array2d(dtype=wp.int32),
-    last: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
+    skyline: Skyline,
     gradient: wp.array2d(dtype=wp.float64),
     block: wp.array2d(dtype=wp.vec4d),
     r: int,
@@ -190,7 +187,7 @@ _BACK_TO_AN_END = (
     _MEETING
     + """
     const int dofs = x.shape[2], stop = middle, own = side == 1 ? n - behind : before;
-    const int* nodes = order.data + (size_t)r * n;
+    const int* nodes = skyline.order.data + (size_t)r * n;
     double* solution = x.data + (size_t)r * x.shape[1] * dofs;
     double* columns = left_of_middle + 2 * LEFT + (size_t)COLUMN * REACH * side;
     auto reaches = [&](int b) { return middle - 1; };
@@ -244,8 +241,7 @@ _BACK_TO_AN_END = (
 
 @wp.func_native(_BACK_TO_AN_END)
 def go_back_to_an_end(
-    order: wp.array2d(dtype=wp.int32),
-    last: wp.array2d(dtype=wp.int32),
+    skyline: Skyline,
     negative_of: wp.array2d(dtype=wp.int32),
     r: int,
     side: int,
@@ -277,10 +273,7 @@ def eliminate(
     """
     r, side, _lane = wp.tid()
     if is_solved(m, r) and m.reach[r] <= most_reach:
-        eliminate_from_an_end(
-            free, m.order, m.first, m.last, m.row, gradient, block, r, side,
-            reached, y, factor, negative_out,
-        )  # fmt: skip
+        eliminate_from_an_end(free, m, gradient, block, r, side, reached, y, factor, negative_out)
 
 
 @wp.kernel
@@ -302,7 +295,7 @@ def go_back(
     if not is_solved(m, r):
         return
     if m.reach[r] <= most_reach:
-        go_back_to_an_end(m.order, m.last, negative_of, r, side, factor, x, negative_pivots_out)
+        go_back_to_an_end(m, negative_of, r, side, factor, x, negative_pivots_out)
     elif side == 0:
         for a in range(lane, gradient.shape[1], wp.block_dim()):
             x[r, 0, a] = gradient[r, a]

@@ -20,16 +20,16 @@ _LANES = (
     TEAMWORK
     + f"const int STRIDE = {STRIDE};"
     + """
-    const int n = first.shape[1];
+    const int n = skyline.first.shape[1];
     double* lines = (double*)(block.data) + (size_t)r * block.shape[1] * 4;
     // The profile is close at hand for rods of so many nodes; of longer ones it stays where it is.
     const int NODES = 1024;
     WROD_SHARED int near_first[NODES];
     WROD_SHARED int near_last[NODES];
     WROD_SHARED int near_row[NODES];
-    const int* starts = first.data + (size_t)r * n;
-    const int* ends = last.data + (size_t)r * n;
-    const int* rows = row.data + (size_t)r * n;
+    const int* starts = skyline.first.data + (size_t)r * n;
+    const int* ends = skyline.last.data + (size_t)r * n;
+    const int* rows = skyline.row.data + (size_t)r * n;
     if (n <= NODES) {
         WROD_TEAM {
             for (int p = lane; p < n; p += TEAM) {
@@ -140,9 +140,7 @@ _FACTORISE = (
 
 @wp.func_native(_FACTORISE)
 def factorise_rod(
-    first: wp.array2d(dtype=wp.int32),
-    last: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
+    skyline: Skyline,
     size: wp.array2d(dtype=wp.float64),
     product: wp.array2d(dtype=wp.float64),
     column: wp.array2d(dtype=wp.float64),
@@ -158,7 +156,7 @@ _SOLVE = (
     const int dofs = x.shape[2];
     double* solution = x.data + (size_t)r * x.shape[1] * dofs;
     const int* open = free.data + (size_t)r * dofs;
-    const int* nodes = order.data + (size_t)r * n;
+    const int* nodes = skyline.order.data + (size_t)r * n;
     WROD_SHARED double near_y[4 * NODES];
     double* value = n <= NODES ? near_y : y.data + (size_t)r * 4 * n;
     WROD_TEAM {
@@ -279,10 +277,7 @@ _SOLVE = (
 @wp.func_native(_SOLVE)
 def solve_rod(
     free: wp.array2d(dtype=wp.int32),
-    order: wp.array2d(dtype=wp.int32),
-    first: wp.array2d(dtype=wp.int32),
-    last: wp.array2d(dtype=wp.int32),
-    row: wp.array2d(dtype=wp.int32),
+    skyline: Skyline,
     block: wp.array2d(dtype=wp.vec4d),
     y: wp.array2d(dtype=wp.float64),
     r: int,
@@ -308,7 +303,7 @@ def factorise(
     which some column reaches `least_reach` rows down."""
     r, _lane = wp.tid()
     if is_solved(m, r) and m.reach[r] >= least_reach:
-        factorise_rod(m.first, m.last, m.row, size, product, column, r, block, negative_pivots_out)
+        factorise_rod(m, size, product, column, r, block, negative_pivots_out)
 
 
 @wp.kernel
@@ -326,4 +321,4 @@ def solve(
     """`skyline.solve`, of the same rods."""
     r, _lane = wp.tid()
     if is_solved(m, r) and m.reach[r] >= least_reach:
-        solve_rod(free, m.order, m.first, m.last, m.row, block, y, r, x)
+        solve_rod(free, m, block, y, r, x)

@@ -53,11 +53,11 @@ _NODES = 1024
 _NUMBER = (
     f"const int NODES = {_NODES}, EDGE = {int(EDGE)};"
     + """
-    const int n = rank.shape[1], pairs = count.data[r];
+    const int n = skyline.rank.shape[1], pairs = count.data[r];
     const int* pieces = piece.data + (size_t)r * piece.shape[1];
     const int* pair = (const int*)(touching.data) + (size_t)r * touching.shape[1] * 3;
-    int* ranks = rank.data + (size_t)r * n;
-    int* nodes = order.data + (size_t)r * n;
+    int* ranks = skyline.rank.data + (size_t)r * n;
+    int* nodes = skyline.order.data + (size_t)r * n;
     int* tallies = tally.data + (size_t)r * n;
     int* far = distance.data + (size_t)r * n;
 #if defined(__CUDA_ARCH__)
@@ -146,8 +146,7 @@ def number_nodes(
     touching: wp.array2d(dtype=wp.vec3i),
     distance: wp.array2d(dtype=wp.int32),
     tally: wp.array2d(dtype=wp.int32),
-    rank: wp.array2d(dtype=wp.int32),
-    order: wp.array2d(dtype=wp.int32),
+    skyline: Skyline,
 ): ...
 
 
@@ -166,7 +165,7 @@ def arrange(
     """Order a rod's nodes by their distance from its first or last; how far columns reach then, and
     how many blocks there are."""
     n = m.rank.shape[1]
-    number_nodes(from_last, piece, r, count, touching, distance, tally, m.rank, m.order)
+    number_nodes(from_last, piece, r, count, touching, distance, tally, m)
     for v in range(lane, n, wp.block_dim()):
         p = m.rank[r, v]
         lowest = int(p)
