@@ -99,25 +99,11 @@ def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp
         grad_chi_f = perpendicular(s.t, s.u)
         eye = wp.identity(3, dtype=wp.float64)
 
-        energy = ZERO
-        g_e = wp.vec3d(ZERO, ZERO, ZERO)
-        g_f = wp.vec3d(ZERO, ZERO, ZERO)
-        g_te = ZERO
-        g_tf = ZERO
-        ee = wp.mat33d()
-        ef = wp.mat33d()
-        ff = wp.mat33d()
-        e_te = wp.vec3d(ZERO, ZERO, ZERO)
-        f_te = wp.vec3d(ZERO, ZERO, ZERO)
-        e_tf = wp.vec3d(ZERO, ZERO, ZERO)
-        f_tf = wp.vec3d(ZERO, ZERO, ZERO)
-        te_te = ZERO
-        te_tf = ZERO
-        tf_tf = ZERO
+        out = Bending()
         if wp.static(law is not None):
             excesses = excess_curvature(s, rest, natural)
             here = law(excesses, principal, parameter)
-            energy = rest * here.energy
+            out.energy = rest * here.energy
             first = Component()
 
         average = HALF * (invariant[0] + invariant[1])
@@ -138,11 +124,11 @@ def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp
                     work = ZERO
                 b = stiffness * per_rest - mean
                 moment = moment - mean * c.kappa
-                energy += work - HALF * mean * c.kappa * c.kappa
-                g_e += moment * c.e
-                g_f += moment * c.f
-                g_te += moment * c.te
-                g_tf += moment * c.tf
+                out.energy += work - HALF * mean * c.kappa * c.kappa
+                out.g_e += moment * c.e
+                out.g_f += moment * c.f
+                out.g_te += moment * c.te
+                out.g_tf += moment * c.tf
 
                 if order == 2:
                     m = moment * per_chi
@@ -152,23 +138,27 @@ def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp
                     h = per_chi * (project(h, s.t, s.t) - symmetric(c.e, grad_chi_e))
                     # The unit tangent's own second derivative by the edge vector.
                     h = h - symmetric(c.e, s.t)
-                    ee += b * wp.outer(c.e, c.e) + moment * h
+                    out.ee += b * wp.outer(c.e, c.e) + moment * h
                     h = (c.kappa * cosine - e_u) * eye + HALF * symmetric(c.m_f, s.t)
                     h = per_chi * (project(h, s.u, s.u) - symmetric(c.f, grad_chi_f))
                     h = h - symmetric(c.f, s.u)
-                    ff += b * wp.outer(c.f, c.f) + moment * h
+                    out.ff += b * wp.outer(c.f, c.f) + moment * h
                     h = wp.outer(s.u, c.m_f) - wp.outer(c.m_e, s.t) - c.kappa * eye
                     h = project(h, s.t, s.u) - wp.outer(c.e, grad_chi_f)
                     h = h - wp.outer(grad_chi_e, c.f)
-                    ef += b * wp.outer(c.e, c.f) + m * h
+                    out.ef += b * wp.outer(c.e, c.f) + m * h
 
-                    e_te += b * c.te * c.e + m * (-cosine * c.dm_e - c.te * grad_chi_e)
-                    f_te += b * c.te * c.f + m * (perpendicular(c.dm_e, s.u) - c.te * grad_chi_f)
-                    e_tf += b * c.tf * c.e - m * (perpendicular(c.dm_f, s.t) + c.tf * grad_chi_e)
-                    f_tf += b * c.tf * c.f + m * (cosine * c.dm_f - c.tf * grad_chi_f)
-                    te_te += b * c.te * c.te - m * e_u
-                    te_tf += b * c.te * c.tf
-                    tf_tf += b * c.tf * c.tf + m * f_t
+                    out.e_te += b * c.te * c.e + m * (-cosine * c.dm_e - c.te * grad_chi_e)
+                    out.f_te += b * c.te * c.f + m * (
+                        perpendicular(c.dm_e, s.u) - c.te * grad_chi_f
+                    )
+                    out.e_tf += b * c.tf * c.e - m * (
+                        perpendicular(c.dm_f, s.t) + c.tf * grad_chi_e
+                    )
+                    out.f_tf += b * c.tf * c.f + m * (cosine * c.dm_f - c.tf * grad_chi_f)
+                    out.te_te += b * c.te * c.te - m * e_u
+                    out.te_tf += b * c.te * c.tf
+                    out.tf_tf += b * c.tf * c.tf + m * f_t
 
                     if wp.static(law is not None):
                         if k == 0:
@@ -176,48 +166,32 @@ def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp
                         else:
                             # A law of both curvatures couples them.
                             b = here.tangent[0, 1] * per_rest
-                            ee += b * symmetric(first.e, c.e)
-                            ef += b * (wp.outer(first.e, c.f) + wp.outer(c.e, first.f))
-                            ff += b * symmetric(first.f, c.f)
-                            e_te += b * (first.te * c.e + c.te * first.e)
-                            f_te += b * (first.te * c.f + c.te * first.f)
-                            e_tf += b * (first.tf * c.e + c.tf * first.e)
-                            f_tf += b * (first.tf * c.f + c.tf * first.f)
-                            te_te += TWO * b * first.te * c.te
-                            te_tf += b * (first.te * c.tf + c.te * first.tf)
-                            tf_tf += TWO * b * first.tf * c.tf
+                            out.ee += b * symmetric(first.e, c.e)
+                            out.ef += b * (wp.outer(first.e, c.f) + wp.outer(c.e, first.f))
+                            out.ff += b * symmetric(first.f, c.f)
+                            out.e_te += b * (first.te * c.e + c.te * first.e)
+                            out.f_te += b * (first.te * c.f + c.te * first.f)
+                            out.e_tf += b * (first.tf * c.e + c.tf * first.e)
+                            out.f_tf += b * (first.tf * c.f + c.tf * first.f)
+                            out.te_te += TWO * b * first.te * c.te
+                            out.te_tf += b * (first.te * c.tf + c.te * first.tf)
+                            out.tf_tf += TWO * b * first.tf * c.tf
 
         # The invariant: K = 8 / chi - 4.
-        energy += mean * (FOUR * per_chi - TWO)
+        out.energy += mean * (FOUR * per_chi - TWO)
         slope = -FOUR * mean * per_chi * per_chi
-        g_e += slope * grad_chi_e
-        g_f += slope * grad_chi_f
+        out.g_e += slope * grad_chi_e
+        out.g_f += slope * grad_chi_f
         if order == 2:
             b = -TWO * slope * per_chi
-            ee += b * wp.outer(grad_chi_e, grad_chi_e) - slope * (
+            out.ee += b * wp.outer(grad_chi_e, grad_chi_e) - slope * (
                 symmetric(grad_chi_e, s.t) + cosine * (eye - wp.outer(s.t, s.t))
             )
-            ff += b * wp.outer(grad_chi_f, grad_chi_f) - slope * (
+            out.ff += b * wp.outer(grad_chi_f, grad_chi_f) - slope * (
                 symmetric(grad_chi_f, s.u) + cosine * (eye - wp.outer(s.u, s.u))
             )
-            ef += b * wp.outer(grad_chi_e, grad_chi_f) + slope * project(eye, s.t, s.u)
+            out.ef += b * wp.outer(grad_chi_e, grad_chi_f) + slope * project(eye, s.t, s.u)
 
-        out = Bending()
-        out.energy = energy
-        out.g_e = g_e
-        out.g_f = g_f
-        out.g_te = g_te
-        out.g_tf = g_tf
-        out.ee = ee
-        out.ef = ef
-        out.ff = ff
-        out.e_te = e_te
-        out.f_te = f_te
-        out.e_tf = e_tf
-        out.f_tf = f_tf
-        out.te_te = te_te
-        out.te_tf = te_tf
-        out.tf_tf = tf_tf
         return out
 
     return bending
