@@ -181,26 +181,6 @@ def turning_block(near: Nearest, a: Share, b: Share) -> wp.mat44d:
     )  # fmt: skip
 
 
-@wp.func
-def pair_block(
-    c: Pair, force: wp.float64, a: Share, b: Share, inverse_ss: wp.float64,
-    inverse_st: wp.float64, inverse_tt: wp.float64,
-) -> wp.mat44d:  # fmt: skip
-    """Block (a, b) of the pair's matrix: Hessian of its energy, with `force` in the part that comes
-    from the turning of the normal, and stiffness of the bristle."""
-    d = c.near.distance
-    w = a.weight * b.weight
-    curving = wp.diag(wp.vec4d(w, w, w, ZERO)) + turning_block(c.near, a, b)
-    curving = curving - wp.outer(a.first, inverse_ss * b.first + inverse_st * b.second)
-    curving = curving - wp.outer(a.second, inverse_st * b.first + inverse_tt * b.second)
-    out = (c.slope + force / d) * wp.outer(a.distance, b.distance) - (force / d) * curving
-    g = c.tangential
-    out = out + wp.outer(a.x, g[0, 0] * b.x + g[0, 1] * b.y + g[0, 2] * b.z)
-    out = out + wp.outer(a.y, g[1, 0] * b.x + g[1, 1] * b.y + g[1, 2] * b.z)
-    out = out + wp.outer(a.z, g[2, 0] * b.x + g[2, 1] * b.y + g[2, 2] * b.z)
-    return out
-
-
 @wp.struct
 class PairMatrix:
     """A touching pair, the force that its matrix turns with, and the inverse of the 2 x 2 matrix of
@@ -244,10 +224,22 @@ def pair_matrix(
 
 @wp.func
 def block_of(m: PairMatrix, pieces: Pieces, r: int, pair: wp.vec3i, k: int, n: int) -> wp.mat44d:
-    """Block k, n of a pair's matrix."""
+    """Block k, n of a pair's matrix: Hessian of its energy, with the force that is held in the part
+    that comes from the turning of the normal, and stiffness of the bristle."""
     a = share(m.pair, pieces, r, pair, k)
     b = share(m.pair, pieces, r, pair, n)
-    return pair_block(m.pair, m.held, a, b, m.inverse_ss, m.inverse_st, m.inverse_tt)
+    near = m.pair.near
+    d = near.distance
+    w = a.weight * b.weight
+    curving = wp.diag(wp.vec4d(w, w, w, ZERO)) + turning_block(near, a, b)
+    curving = curving - wp.outer(a.first, m.inverse_ss * b.first + m.inverse_st * b.second)
+    curving = curving - wp.outer(a.second, m.inverse_st * b.first + m.inverse_tt * b.second)
+    out = (m.pair.slope + m.held / d) * wp.outer(a.distance, b.distance) - (m.held / d) * curving
+    g = m.pair.tangential
+    out = out + wp.outer(a.x, g[0, 0] * b.x + g[0, 1] * b.y + g[0, 2] * b.z)
+    out = out + wp.outer(a.y, g[1, 0] * b.x + g[1, 1] * b.y + g[1, 2] * b.z)
+    out = out + wp.outer(a.z, g[2, 0] * b.x + g[2, 1] * b.y + g[2, 2] * b.z)
+    return out
 
 
 @wp.func
