@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from wrod.scenes import sawyer
 
-from wrod.errors import RobotError
+from wrod.errors import RobotError, WrodWarning
 from wrod.robot.kinematics import grasp_poses, one_torch_thread, pose_error, solve_poses
 from wrod.robot.model import ROBOTS, load_robot
 from wrod.robot.urdf import read_urdf
@@ -227,6 +227,7 @@ def covers(start, end, radius, points):
         ({"<robot": "<model", "</robot>": "</model>"}, "not <robot>"),
         ({"meshes/tool.stl": "meshes/gone.stl"}, "mesh 'meshes/gone.stl' is missing"),
         ({'lower="-3" ': ""}, "joint 'a0' has no position limits"),
+        ({'<parent link="k2"/>': '<parent link="k2"/><mimic joint="a0"/>'}, "mimics another"),
         ({'velocity="2"': 'velocity="0"'}, "joint 'a0' has no velocity limit"),
         ({'type="revolute"><parent link="k5"': 'type="fixed"><parent link="k5"'}, "needs six"),
         ({'<link name="k0"/>': '<link name="k0"/><link name="lost"/>'}, "2 links have no parent"),
@@ -244,6 +245,19 @@ def test_velocity_limits_that_say_there_is_none(tmp_path):
     assert arm.velocity[0] == 10000.0
     with pytest.raises(RobotError, match=r"limit is 1e\+06; give 0.001 to 100000 rad"):
         load_robot(own_arm(tmp_path, **{'velocity="2"': 'velocity="1000000"'}))
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({'lower="-3"': 'lower="-170"'}, "'a0' turns to 170 rad"),
+        ({'velocity="2"': 'velocity="180"'}, "'a0' may turn by 180 rad/s"),
+        ({'rpy="0 0 0"': 'rpy="0 90 0"'}, "'a0' is rotated by 90 rad"),
+    ],
+)
+def test_degrees_are_asked_after(tmp_path, changes, says):
+    with pytest.warns(WrodWarning, match=rf"{says} \(degrees\?\)"):
+        load_robot(own_arm(tmp_path, **changes))
 
 
 def test_missing_file_link_and_name(tmp_path):

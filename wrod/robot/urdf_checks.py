@@ -1,13 +1,14 @@
 """What a URDF must hold before a robot is built from it: a tree, and numbers in bounds."""
 
 import math
+import warnings
 from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
-from wrod.errors import RobotError
+from wrod.errors import RobotError, WrodWarning
 from wrod.files.reading import shown
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -16,6 +17,8 @@ _KINDS = (*MOVING, "fixed", "floating", "planar")
 _MOST_LINKS = 500
 # Of lengths [m], of angles [rad] and of joint speeds [rad/s]; files say 10000 for none.
 _FARTHEST, _MOST_TURN, _SLOWEST, _FASTEST = 100.0, 1e3, 1e-3, 1e5
+# What joints of arms reach in degrees only, not in radians; 1000 rad/s say that there is no limit.
+_TURNS, _SPEEDS, _ROTATED = 8.0 * math.pi, (30.0, 1e3), 2.0 * math.pi + 1e-3
 _REMEDY = "correct the file"
 
 
@@ -198,7 +201,10 @@ def chain_limits(path, joints, tip: str) -> tuple:
     [rad], and velocities (n,) [rad/s].
 
     Raises:
-        RobotError: they are fewer than six, one slides, or has no limits.
+        RobotError: they are fewer than six, one slides or mimics another, or has no limits.
+
+    Warns:
+        WrodWarning: one has numbers of degrees.
     """
     above = {joint.find("child").get("link"): joint for joint in joints}
     chain, link = [], tip
@@ -219,6 +225,11 @@ def chain_limits(path, joints, tip: str) -> tuple:
                 f"{path}: joint {name!r:.80} slides; paths are planned for joints that turn, so "
                 "make it fixed in the file, with its origin where it is to stand"
             )
+        if joint.find("mimic") is not None:
+            raise RobotError(
+                f"{path}: joint {name!r:.80} mimics another; paths are planned for joints that "
+                "turn by themselves, so remove its <mimic>, or make it fixed"
+            )
         limit = joint.find("limit")
         if joint.get("type") == "continuous":
             limits.append((-np.inf, np.inf))
@@ -236,4 +247,20 @@ def chain_limits(path, joints, tip: str) -> tuple:
             )
         velocity.append(float(limit.get("velocity")))
     lower, upper = np.array(limits).T
+    for joint, ends, speed in zip(chain, limits, velocity, strict=True):
+        _ask_after_degrees(path, joint, ends, speed)
     return tuple(joint.get("name") for joint in chain), lower, upper, np.array(velocity)
+
+
+def _ask_after_degrees(path, joint: ElementTree.Element, ends: tuple, speed: float) -> None:
+    """Warn of what of a joint was likely meant in degrees: a path would go beyond its stops."""
+    origin = joint.find("origin")
+    rotated = [] if origin is None else map(float, origin.get("rpy", "").split())
+    turn = max(abs(end) for end in ends) if math.isfinite(ends[0]) else 0.0
+    rotation = max(map(abs, rotated), default=0.0)
+    said = [f"turns to {turn:g} rad"] * bool(turn > _TURNS)
+    said += [f"may turn by {speed:g} rad/s"] * (_SPEEDS[0] < speed < _SPEEDS[1])
+    said += [f"is rotated by {rotation:g} rad"] * bool(rotation > _ROTATED)
+    if said:
+        text = f"{path}: joint {joint.get('name')!r:.80} {' and '.join(said)} (degrees?)"
+        warnings.warn(WrodWarning(text), stacklevel=4)
