@@ -27,7 +27,7 @@ from wrod.files import (
 )
 from wrod.files.array_schemas import ARRAYS
 from wrod.files.ledger import Ledger
-from wrod.files.writing import begin, finished
+from wrod.files.writing import begin, finished, suffixed
 
 SCENE = {
     "format": "wrod-fixtures-1",
@@ -314,6 +314,19 @@ def test_tensors_have_a_checksum(tmp_path):
     path.write_bytes(content)
     with pytest.raises(DataError, match="damaged"):
         read_tensors(path, "a file")
+
+
+@pytest.mark.parametrize(
+    ("given", "written"),
+    [("friction-0.3", "friction-0.3.npz"), ("a.csv", "a.npz"), ("a", "a.npz"), ("a.0", "a.0.npz")],
+)
+def test_numbers_at_the_end_of_a_name_are_no_suffix(tmp_path, given, written):
+    assert suffixed(tmp_path / given, ".npz") == tmp_path / written
+
+
+def test_a_folder_is_no_name_for_a_file(tmp_path):
+    with pytest.raises(DataError, match="is a folder; give the name of a file"):
+        suffixed(tmp_path, ".npz")
 
 
 def test_a_refusal_says_that_a_campaign_that_went_on_is_complete(tmp_path):

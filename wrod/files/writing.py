@@ -108,13 +108,18 @@ def _sweep(folder: Path) -> None:
 
 
 def suffixed(path: str | os.PathLike[str], suffix: str) -> Path:
-    """The path with that suffix in place of its own.
+    """The path with that suffix in place of its own; the end of "friction-0.3" is none.
 
     Raises:
-        DataError: it names no file.
+        DataError: it names no file, or a folder.
     """
+    given = Path(path)
+    if given.is_dir():
+        raise DataError(f"{given}: is a folder; give the name of a file to write in it")
     try:
-        return Path(path).with_suffix(suffix)
+        if given.suffix[1:2].isdigit():
+            return given.with_name(given.name + suffix)
+        return given.with_suffix(suffix)
     except ValueError:
         raise DataError(
             f"path is {arguments.shown(path)}; give the name of a file to write"
