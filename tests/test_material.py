@@ -42,6 +42,7 @@ def test_unphysical_values_are_named(field, value):
         ({"length": 1e-3}, "length .* at least 10 radii"),
         ({"natural_curvature": (1e12, 0.0)}, "tighter than its own radius"),
         ({"gravito_bending_length": 5.0}, "stiffer than diamond"),
+        ({"gravity": 9810.0}, "gravity is 9810.0; no rod has that"),
     ],
 )
 def test_what_is_no_rod_is_refused(changed, says):

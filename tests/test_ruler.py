@@ -9,7 +9,7 @@ from scipy.integrate import solve_bvp
 
 import wrod
 from wrod.commands import main
-from wrod.errors import DataError
+from wrod.errors import DataError, RodError
 from wrod.identification.hanging_loop import measure_hanging_loop
 from wrod.identification.ruler import fall_ratio, measure_overhang
 
@@ -147,3 +147,5 @@ def test_folded_loop_of_the_same_rod():
     """The third way, so that all three are of one rod here."""
     height = wrod.RodMaterial.from_loop_height(0.0366, 0.0016, 0.885)
     assert height.gravito_bending_length == pytest.approx(0.0366 / 1.14224)
+    with pytest.raises(RodError, match=r"0.885 m stands no loop of height 0.366 m: 1.87 m are off"):
+        wrod.RodMaterial.from_loop_height(0.366, 0.0016, 0.885)

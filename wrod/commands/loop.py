@@ -26,15 +26,9 @@ def command(
     the centreline at the top above the centreline of the flat part: the outer height less one
     diameter.
     """
-    from wrod.rods.material import LOOP_HEIGHT_RATIO, LOOP_LENGTH_RATIO, RodMaterial
+    from wrod.rods.material import LOOP_HEIGHT_RATIO, RodMaterial
     from wrod.rods.model_file import save_rod
 
-    needed = LOOP_LENGTH_RATIO / LOOP_HEIGHT_RATIO * height
-    if length < needed:
-        raise RodError(
-            f"a rod of --length {length:g} m stands no loop of --height {height:g} m: {needed:.3g} "
-            "m are off the table in that; check both numbers"
-        )
     rod = RodMaterial.from_loop_height(height, radius, length, density=density, poisson=poisson)
     if out is not None:
         if out.suffix != ".json":

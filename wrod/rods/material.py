@@ -22,7 +22,7 @@ _BOUNDS = {
     "gravito_bending_length": (1e-6, 1e4),
     "length": (1e-6, 1e6),
     "density": (1e-6, 1e7),
-    "gravity": (1e-9, 1e6),
+    "gravity": (1e-9, 5e3),  # the Earth's in mm/s^2 is more
 }
 # L_gb and length over the radius [-]: with less, what bends is a lump and no rod. A gel of 50 kPa
 # and 1 cm radius has an L_gb of 3.9 radii.
@@ -184,11 +184,20 @@ class RodMaterial:
 
         The height is that of the centreline above the flat part's centreline, and is
         1.14224 L_gb (tests/physics/test_loop.py), not the paper's 0.9066 L_gb.
+
+        Raises:
+            RodError: as the constructor, or the rod is too short for such a loop.
         """
         if not (isinstance(loop_height, (int, float)) and 0 < loop_height < math.inf):
             raise RodError(f"loop height is {loop_height!r:.80}; give a positive number of metres")
-        lgb = loop_height / LOOP_HEIGHT_RATIO
-        return cls(radius, lgb, length, poisson, density, gravity)
+        rod = cls(radius, loop_height / LOOP_HEIGHT_RATIO, length, poisson, density, gravity)
+        needed = LOOP_LENGTH_RATIO * rod.gravito_bending_length
+        if length < needed:
+            raise RodError(
+                f"a rod of length {length:g} m stands no loop of height {loop_height:g} m: "
+                f"{needed:.3g} m are off the table in that; check both numbers"
+            )
+        return rod
 
     @property
     def is_straight(self) -> bool:
