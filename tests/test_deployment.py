@@ -279,6 +279,9 @@ def test_bad_input_is_refused(plans):
         wrod.simulate_deployment(pattern, ROD, trajectory, discretisation=wrod.Discretisation(0.06))
     with pytest.raises(RodError, match="friction"):
         wrod.simulate_deployment(pattern, ROD, trajectory, friction=-0.1)
+    for mistaken in ({"lgb_error": 15.0}, {"yaw": 20.0}):  # per cent, degrees
+        with pytest.raises(RodError, match=f"Disturbance: {next(iter(mistaken))} is "):
+            wrod.Disturbance(**mistaken)
     with pytest.raises(RodError, match="scheme"):
         wrod.simulate_deployment(
             pattern, ROD, trajectory, discretisation=wrod.Discretisation(scheme="magic")

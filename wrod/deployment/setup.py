@@ -78,7 +78,8 @@ class Disturbance:
         number = arguments.number(-1e6, 1e6)
         arguments.check_fields(
             self, RodError, jitter=arguments.number(0.0, 1e3),
-            lgb_error=arguments.number(-0.99, 1e3), offset=arguments.array((2,)), yaw=number,
+            lgb_error=arguments.number(-0.99, 10.0), offset=arguments.array((2,)),
+            yaw=arguments.number(-2.0 * np.pi, 2.0 * np.pi),
             natural_curvature=number, seed=arguments.whole(), slip=number,
             shaking_time=arguments.number(0.0, 1e5),
         )  # fmt: skip
