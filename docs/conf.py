@@ -33,6 +33,7 @@ napoleon_custom_sections = [("Warns", "params_style")]
 
 html_theme = "furo"
 html_title = f"wrod {release}"
+html_show_copyright = False  # there is none to show but the licence's
 html_math_renderer = "drawn"
 
 # Of formulas: small letters as large as those of the text beside them, at 10 units an em.
