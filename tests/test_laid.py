@@ -92,6 +92,26 @@ def test_reads_scans_deployments_and_points(tmp_path, plan):
         assert np.abs(curve[[0, -1]] - line[[0, -1], :2]).max() < 1e-6
 
 
+@pytest.mark.parametrize(
+    ("name", "frame", "says"),
+    [
+        ("letter-A", [[1.0, 0.0], [0.0, -1.0]], "mirrored"),
+        ("letter-A", [[0.0, 1.0], [1.0, 0.0]], "x and y exchanged"),
+        ("letter-A", [[0.0, 1.0], [-1.0, 0.0]], "turned"),
+        ("line", [[0.0, 1.0], [1.0, 0.0]], "turned"),
+        ("letter-A", [[0.99, 0.14], [-0.14, 0.99]], None),  # a rod that lies badly
+    ],
+)
+def test_centrelines_of_another_frame_are_named(name, frame, says):
+    pattern = wrod.pattern(name)
+    lies = pattern.sample(np.linspace(0.0, pattern.length, 200))[0][:, :2] @ np.array(frame)
+    if says is None:
+        assert len(load_laid([lies], pattern, noise=NOISE).curves) == 1
+        return
+    with pytest.raises(DataError, match=f"on average, and .* m where it is .*{says}"):
+        load_laid([lies], pattern, noise=NOISE)
+
+
 def test_bad_centrelines_are_named(tmp_path, plan):
     pattern, _ = plan
     line = offset(pattern)

@@ -22,6 +22,9 @@ from wrod.patterns.pattern import Pattern
 
 # A rod further from its pattern than this share of its length is another pattern, unit or frame.
 _FAR = 0.5
+# One further than that which lies so many times nearer once it is turned, mirrored or shifted is in
+# another frame: no table moves a whole rod so far.
+_ASIDE, _NEARER = 0.1, 4.0
 # How much of the pattern's end may be missing from a centreline, as a share of the pattern.
 _MISSING = 0.1
 # Steps between points that are jumps, and how much of them in sum may go astray, as shares of it.
@@ -198,12 +201,36 @@ def _checked(curve: np.ndarray, pattern: Pattern, name: str) -> np.ndarray:
 
     # A picture does not tell which end was laid first.
     best = min((curve, curve[::-1]), key=distance)
-    if distance(best) > _FAR * wanted:
+    far = distance(best)
+    if far > _ASIDE * wanted:
+        _refuse_other_frame(best, target, pattern, name, far)
+    if far > _FAR * wanted:
         raise DataError(
-            f"{name}: lies {distance(best):.3g} m from the pattern on average; give it in the "
+            f"{name}: lies {far:.3g} m from the pattern on average; give it in the "
             "pattern's frame, in metres, and the pattern with the remainder that its plan has"
         )
     return best
+
+
+def _refuse_other_frame(
+    curve: np.ndarray, target: np.ndarray, pattern: Pattern, name: str, far: float
+) -> None:
+    """Refuse a curve, `far` [m] from the points of the pattern on average, that lies near them when
+    it is turned, or else mirrored, and shifted."""
+    lengths = np.linspace(0.0, pattern.length, METRIC_POINTS)
+    aims = target - target.mean(axis=0)
+    for how, sign in (("turned", 1.0), ("mirrored (y down, or x and y exchanged?)", -1.0)):
+        for candidate in (curve, curve[::-1]):
+            at = _at(candidate, lengths, pattern)
+            at -= at.mean(axis=0)
+            left, _, right = np.linalg.svd(at.T @ aims)
+            left[:, 1] *= sign * np.linalg.det(left @ right)  # Kabsch 1976
+            near = float(np.hypot(*(at @ left @ right - aims).T).mean())
+            if near < far / _NEARER:
+                raise DataError(
+                    f"{name}: lies {far:.3g} m from the pattern on average, and {near:.3g} m where "
+                    f"it is {how} and shifted as a whole; give it in the pattern's frame"
+                )
 
 
 def _refuse_disorder(curve: np.ndarray, wanted: float, name: str) -> None:
