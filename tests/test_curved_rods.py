@@ -121,6 +121,8 @@ def test_rod_file_carries_natural_curvature(tmp_path):
 
 
 def test_rolls_by_word():
+    with pytest.raises(GraspError, match="roll is 45"):  # degrees
+        wrod.plan(wrod.pattern("line"), wrod.rod("rope"), roll=45.0)
     pattern = quarter_turn()
     rod = replace(ROD, natural_curvature=(1.0, 2.0))
     held = rod.curvature_held(roll_angle("up", pattern, rod))

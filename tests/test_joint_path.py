@@ -366,6 +366,8 @@ def test_placement_text_is_in_degrees():
     assert place == Placement(0.5, -0.1, -0.3, math.pi / 2)
     there = place.base_from_world @ [1.0, 0.0, 0.0, 1.0]
     assert there[:3] == pytest.approx([0.5, 0.9, -0.3])
+    with pytest.raises(RobotError, match=r"yaw of 90 rad, .* in four numbers in radians"):
+        Placement.parse((0.5, -0.1, -0.3, 90.0))
 
 
 def test_same_input_gives_the_same_path(letter, letter_path):

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 @arguments.checked(
     GraspError,
     remainder=arguments.either(arguments.flag, arguments.number(0.0, 100.0)),
-    roll=arguments.optional(arguments.either(arguments.text, arguments.number(-1e6, 1e6))),
+    roll=arguments.optional(arguments.either(arguments.text, arguments.number(-7.0, 7.0))),
     spin=arguments.number(-100.0, 100.0),
     controller=arguments.like("a wrod.Controller", "predict", "out_of_range"),
     friction=arguments.optional(

@@ -94,6 +94,11 @@ class Placement:
                 f"placement {value!r:.80} is not 'auto' and not x,y,z,yaw: position of the "
                 "pattern's origin from the robot's base [m], with z the table's height, and yaw"
             ) from None
+        if abs(yaw) > 2.0 * math.pi:
+            raise RobotError(
+                f"placement {shown(value)} has a yaw of {yaw:.3g} rad, more than once round; in "
+                "text it is in degrees, in four numbers in radians"
+            )
         return cls(x, y, z, yaw)
 
 
