@@ -184,8 +184,8 @@ def prepare_deployment(
     first = int(np.argmin(np.abs(laid - hold)))
     if first > len(laid) - 3:
         raise PatternError(
-            f"{pattern.source}: the trajectory lays {laid[-1]:.3f} m and the first {hold:g} m are "
-            "held; give a longer pattern or a smaller hold"
+            f"{pattern.source}: the trajectory lays {laid[-1]:.3f} m in {len(laid)} poses and the "
+            f"first {hold:g} m are held; give a longer pattern, a shorter spacing or a smaller hold"
         )
     start = float(laid[first])
     offset = -pattern.remainder_length
