@@ -171,6 +171,15 @@ def obstacles(tmp_path, **entry):
     return Obstacles.load(path)
 
 
+@pytest.mark.parametrize(
+    ("how", "says"),
+    [({"rpy": [0, 0, 90]}, "turned by .* 90.0] rad \\(degrees"), ({"xyz": [60, 0, 0]}, "60 m off")],
+)
+def test_an_obstacle_in_millimetres_or_degrees_is_refused(tmp_path, how, says):
+    with pytest.raises(RobotError, match=f"obstacle 1: .*{says}"):
+        obstacles(tmp_path, **{"size": [0.1, 0.1, 0.1], "xyz": [0.5, 0, 0], **how})
+
+
 def test_the_hanging_rod_keeps_clear_of_what_the_arm_would_miss(tmp_path, line):
     place = Placement(0.35, -0.25, -0.3, 0.0)
     foot = (line.contact @ place.base_from_world[:3, :3].T + place.base_from_world[:3, 3])[25]

@@ -17,6 +17,7 @@ from wrod.robot.urdf import LinkShape
 _BAR = 0.06  # [m] widest bar that a box is cut into
 # A cell has tens of them.
 _MOST, _MOST_BARS = 500, 20_000
+_FARTHEST = 10.0  # [m] nothing so far from its base is in an arm's way
 _SIZES = {"sphere": 1, "cylinder": 2, "box": 3}
 
 
@@ -67,9 +68,15 @@ def _shape(path: Path, number: int, entry: schemas.Obstacle) -> LinkShape:
     size = numbers("size", given, _SIZES.get(kind, 3))
     if (size <= 0).any():
         raise RobotError(f"{where}: its size must be positive")
+    turned = numbers("rpy", entry.rpy, 3)
+    if np.abs(turned).max() > 2.0 * np.pi:
+        raise RobotError(f"{where}: is turned by {turned.tolist()} rad (degrees?)")
+    off = float(np.linalg.norm(entry.xyz))
+    if kind != "mesh" and off - 2.0 * size.max() > _FARTHEST:
+        raise RobotError(f"{where}: stands {off:g} m off, out of every arm's way (millimetres?)")
     pose = np.eye(4)
     pose[:3, 3] = entry.xyz
-    pose[:3, :3] = Rotation.from_euler("xyz", numbers("rpy", entry.rpy, 3)).as_matrix()
+    pose[:3, :3] = Rotation.from_euler("xyz", turned).as_matrix()
     file = None
     if kind == "mesh":
         file = path.parent / (entry.file or "")
