@@ -318,7 +318,12 @@ def test_tensors_have_a_checksum(tmp_path):
 
 @pytest.mark.parametrize(
     ("given", "written"),
-    [("friction-0.3", "friction-0.3.npz"), ("a.csv", "a.npz"), ("a", "a.npz"), ("a.0", "a.0.npz")],
+    [
+        ("friction-0.3", "friction-0.3.npz"),
+        ("a.csv", "a.npz"),
+        ("a", "a.npz"),
+        ("a.v2", "a.v2.npz"),
+    ],
 )
 def test_numbers_at_the_end_of_a_name_are_no_suffix(tmp_path, given, written):
     assert suffixed(tmp_path / given, ".npz") == tmp_path / written

@@ -255,6 +255,7 @@ def test_velocity_limits_that_say_there_is_none(tmp_path):
         ({'rpy="0 0 0"': 'rpy="0 90 0"'}, "'a0' is rotated by 90 rad"),
     ],
 )
+@pytest.mark.filterwarnings("ignore:.*degrees")  # of its other joints
 def test_degrees_are_asked_after(tmp_path, changes, says):
     with pytest.warns(WrodWarning, match=rf"{says} \(degrees\?\)"):
         load_robot(own_arm(tmp_path, **changes))

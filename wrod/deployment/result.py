@@ -76,7 +76,7 @@ class Deployment:
 
     @checked(DataError)
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write everything as an NPZ file (the suffix of `path` is replaced)."""
+        """Write everything as an NPZ file (a suffix .csv or .npz of `path` is replaced)."""
         return write_npz(suffixed(path, ".npz"), units="SI: m, N, s", **self._present())
 
     @classmethod

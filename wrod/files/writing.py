@@ -108,7 +108,7 @@ def _sweep(folder: Path) -> None:
 
 
 def suffixed(path: str | os.PathLike[str], suffix: str) -> Path:
-    """The path with that suffix in place of its own; the end of "friction-0.3" is none.
+    """The path with that suffix in place of .csv or .npz; "plan-0.3" has neither.
 
     Raises:
         DataError: it names no file, or a folder.
@@ -117,9 +117,9 @@ def suffixed(path: str | os.PathLike[str], suffix: str) -> Path:
     if given.is_dir():
         raise DataError(f"{given}: is a folder; give the name of a file to write in it")
     try:
-        if given.suffix[1:2].isdigit():
-            return given.with_name(given.name + suffix)
-        return given.with_suffix(suffix)
+        if given.suffix.lower() in (".csv", ".npz"):
+            return given.with_suffix(suffix)
+        return given.with_name(given.name + suffix)
     except ValueError:
         raise DataError(
             f"path is {arguments.shown(path)}; give the name of a file to write"

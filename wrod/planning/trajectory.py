@@ -147,7 +147,7 @@ class Trajectory:
 
     @checked(DataError)
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
-        """Write `path` as CSV and NPZ (the suffix of `path` is replaced). Returns both paths.
+        """Write `path` as CSV and NPZ (either suffix of `path` is replaced). Returns both paths.
 
         Raises:
             DataError: `path` names no file, or the metadata is not plain.
