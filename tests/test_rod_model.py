@@ -262,3 +262,18 @@ def test_a_rod_twisted_more_than_any_is_refused(tmp_path):
     twisted = replace(wrod.RodModel.of(wrod.rod("green-vps")), natural_twist=1e9)
     with pytest.raises(RodError, match="natural_twist is 1e\\+09 rad/m"):
         wrod.load_rod(wrod.save_rod(twisted, tmp_path / "rod.json"))
+
+
+@pytest.mark.parametrize(
+    ("how", "says"),
+    [
+        ({"bending_stiffness": 6.1, "twisting_stiffness": 4.1}, "bends as a solid of 1.2e"),
+        ({"twisting_stiffness": 4.1}, "times as hard as it twists"),
+        ({"stretching_stiffness": 1e-5}, "stretches more easily than it bends"),
+        ({"internal_damping": 65.0}, "65 s of internal damping"),
+    ],
+)
+def test_a_file_in_other_units_is_asked_after(tmp_path, how, says):
+    model = replace(wrod.RodModel.of(wrod.rod("green-vps")), **how)
+    with pytest.warns(WrodWarning, match=says):
+        wrod.load_rod(wrod.save_rod(model, tmp_path / "model.json"))

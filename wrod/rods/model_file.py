@@ -1,6 +1,7 @@
 """Rods as JSON: `RodModel` (`model.json`) and `RodMaterial`."""
 
 import json
+import math
 import os
 import warnings
 from dataclasses import asdict, fields, replace
@@ -22,6 +23,8 @@ MODEL_FORMAT = "wrod-rod-model-3"
 MATERIAL_FORMAT = "wrod-rod-1"
 # A knot so many lengths of the rod away is a mistake; pieces of rods keep some that are beyond.
 _FAR_KNOTS = 100.0
+# [Pa] Twice as stiff as steel.
+_STIFF = 4e11
 _WHAT = "a rod file, as `wrod loop --out` or `wrod identify` writes it"
 
 
@@ -148,6 +151,7 @@ def _new(path, content: dict, instead: dict) -> RodModel:
             f"its profiles go on to {last:.4g} m on a rod of {model.length:g} m (knots in "
             "millimetres?)"
         )
+    said += _doubts(model)
     if "length" in instead:
         longest = model.length
         model = with_length(model, instead.pop("length"))
@@ -158,6 +162,23 @@ def _new(path, content: dict, instead: dict) -> RodModel:
     if said:
         warnings.warn(f"{path}: {'; '.join(said)}", WrodWarning, stacklevel=4)
     return model
+
+
+def _doubts(model: RodModel) -> list[str]:
+    """What no rod has, and one has whose file was written in other units."""
+    solid = 4.0 * model.mean_bending_stiffness / (math.pi * model.radius**4)
+    bend_twist = 1.0 + model.poisson
+    damping = model.internal_damping or 0.0
+    doubts = {
+        f"bends as a solid of {solid:.2g} Pa (bending_stiffness in N mm^2?)": solid > _STIFF,
+        f"stretches more easily than it bends (k_s L_gb^2 / k_b is {model.stretch_ratio:.2g}; "
+        "stretching_stiffness in other units?)": model.stretch_ratio < 1.0,
+        f"bends {bend_twist:.2g} times as hard as it twists (twisting_stiffness in other units?)": (
+            not 1e-3 < bend_twist < 1e3
+        ),
+        f"has {damping:g} s of internal damping (milliseconds?)": damping > 10.0,
+    }
+    return [one for one, doubtful in doubts.items() if doubtful]
 
 
 def with_length(model: RodModel, length: float) -> RodModel:
