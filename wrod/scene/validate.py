@@ -32,7 +32,10 @@ def open_stage(path: str | os.PathLike[str]):
             reason = str(error).strip().splitlines()[-1].rpartition(" : ")[2].strip("')\" ")
         except UnicodeError:
             reason = "it holds text that is not UTF-8"
-        raise SceneError(f"{path}: not a readable USD stage ({shown(reason, 200)})") from None
+        raise SceneError(
+            f"{path}: not a readable USD stage ({shown(reason, 200)}); give a whole .usdc, .usda "
+            "or .usdz file, as `wrod plan` writes scene.usdc"
+        ) from None
     finally:
         del unprinted
     missing = stage.GetCompositionErrors()
