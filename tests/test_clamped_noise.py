@@ -84,7 +84,9 @@ def test_slopes_of_the_likelihood_are_limits_of_differences(width):
         return likelihood.value(np.exp(p[0]), p[1], np.exp(p[2]), np.exp(p[3:]))
 
     numeric = [value(at + h) - value(at - h) for h in 1e-5 * np.eye(len(at))]
-    slope = likelihood.slope(np.exp(at[0]), at[1], np.exp(at[2]), np.exp(at[3:]))
+    given = np.exp(at[0]), at[1], np.exp(at[2]), np.exp(at[3:])
+    same, slope = likelihood.with_slope(*given, along=True)
+    assert same == value(at)
     np.testing.assert_allclose(np.array(numeric) / 2e-5, slope, atol=1e-7 * np.abs(slope).max())
 
 

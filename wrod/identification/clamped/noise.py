@@ -237,15 +237,18 @@ class _Restricted:
 
     def __init__(self, arc_length, read, residual, own, scatter):
         self.arc_length, self.count = arc_length, len(arc_length)
-        mask = read[..., None]
-        self.columns = np.concatenate([residual[..., None], own, scatter], axis=2) * mask
+        columns = np.concatenate([residual[..., None], own, scatter], 2) * read[..., None]
         width = 1 + own.shape[2]
         self.own, self.others = slice(width), slice(width, None)
-        # Trials that lack the same markers, and the markers that they have.
+        columns[:, :, self.others] *= np.repeat(_SCALES, COLUMNS)
+        markers, others = np.split(columns, [3 * self.count], axis=1)
+        self.apart = others.mT @ others
+        # Trials that lack the same markers, the markers that they have, and their columns.
+        markers, self.alike = markers.reshape(len(read), self.count, 3, -1), []
         kinds, kind = np.unique(read[:, : 3 * self.count : 3], axis=0, return_inverse=True)
-        alike = [np.flatnonzero(kind.ravel() == k) for k in range(len(kinds))]
-        self.alike = list(zip(alike, map(np.flatnonzero, kinds), strict=True))
-        self.columns[:, :, self.others] *= np.repeat(_SCALES, COLUMNS)
+        for k, there in enumerate(map(np.flatnonzero, kinds)):
+            trials = np.flatnonzero(kind.ravel() == k)
+            self.alike.append((trials, there, markers[np.ix_(trials, there)]))
         self.span = float(arc_length[-1] - arc_length[0])
         self._last: tuple[tuple, tuple] | None = None
 
@@ -283,7 +286,8 @@ class _Restricted:
         along = noise.size, noise.share, noise.length or 1.0
         # A scatter is known to a few per cent at best; the likelihood's own digits end far below.
         ends = np.exp(0.01 * np.eye(len(size))[seen])
-        up, down = ([self.slope(*along, size * f**k, along=False) for f in ends] for k in (1, -1))
+        ways = ([(*along, size * f**k) for f in ends] for k in (1, -1))
+        up, down = ([self.with_slope(*at, along=False)[1] for at in way] for way in ways)
         curvature = np.reshape(np.subtract(up, down), (-1, 3 + len(size)))[:, 3 + seen] / 0.02
         errors = np.zeros(len(size))
         errors[seen] = np.sqrt(np.maximum(np.diag(np.linalg.inv(0.5 * curvature)), 0.0))
@@ -322,11 +326,14 @@ class _Restricted:
 
     def _least(self, read, first, bounds, asked) -> np.ndarray:
         """Where the likelihood is best within bounds, after 30 steps at most. `read` gives the
-        noise of unknowns, which are those of `slope` that are `asked`."""
-        return minimize(
-            lambda p: self.value(*read(p)), first, method="L-BFGS-B", bounds=bounds,
-            jac=lambda p: self.slope(*read(p), along=asked[0])[asked], options={"maxiter": 30},
-        ).x  # fmt: skip
+        noise of unknowns, which are those of `with_slope` that are `asked`."""
+
+        def both(p):
+            value, slope = self.with_slope(*read(p), along=asked[0])
+            return value, slope[asked]
+
+        options = {"maxiter": 30}
+        return minimize(both, first, method="L-BFGS-B", bounds=bounds, jac=True, options=options).x
 
     def _read(self, p, correlated, scattered):
         along = (np.exp(p[0]), p[1], np.exp(p[2])) if correlated else (1.0, 0.0, 1.0)
@@ -336,65 +343,56 @@ class _Restricted:
     def value(self, size, share, length, scatter) -> float:
         """-2 log of the restricted likelihood, up to a constant."""
         products, log_det, *_ = self._products(size, share, length)
-        gram = products[:, self.own, self.own]
-        if np.any(scatter):
-            u = np.repeat(scatter, COLUMNS)[:, None]
-            inner = np.eye(len(u)) + u * products[:, self.others, self.others] * u.T
-            cross = u * products[:, self.others, self.own]
-            gram = gram - cross.mT @ np.linalg.solve(inner, cross)
-            log_det += float(np.linalg.slogdet(inner)[1].sum())
-        gram = gram.sum(axis=0)
-        matrix = gram[1:, 1:] + np.eye(len(gram) - 1)
-        square = gram[0, 0] - gram[0, 1:] @ np.linalg.solve(matrix, gram[0, 1:])
-        return float(square + log_det + np.linalg.slogdet(matrix)[1])
+        return float(self._weights(products, scatter)[0] + log_det)
 
-    def slope(self, size, share, length, scatter, *, along: bool = True) -> np.ndarray:
-        """(10,) derivatives of `value` by the logarithm of the size, the share, the logarithm of
-        the length (0 unless `along`) and those of the scatters."""
-        products, _, x, roots = self._products(size, share, length)
-        weights = self._weights(products, scatter)
+    def with_slope(self, size, share, length, scatter, *, along: bool) -> tuple[float, np.ndarray]:
+        """`value` and its (10,) derivatives by the logarithm of the size, the share, the logarithm
+        of the length (0 unless `along`) and those of the scatters."""
+        products, log_det, roots = self._products(size, share, length)
+        value, weights = self._weights(products, scatter)
         by_column = 2.0 * np.einsum("tij,tji->i", products, weights)[self.others]
         by_along = np.zeros((self.count, self.count))
-        for (trials, own), root in zip(self.alike, roots, strict=True) if along else ():
-            mine = x[trials][:, : 3 * self.count].reshape(len(trials), self.count, 3, -1)[:, own]
-            moved = mine @ weights[trials][:, None]
-            square = np.tensordot(moved, mine, axes=((0, 2, 3), (0, 2, 3)))
-            left = 3.0 * len(trials) * np.eye(len(own)) - square
+        for (trials, own, here), root in zip(self.alike, roots, strict=True) if along else ():
+            moved = here.reshape(len(trials), -1, here.shape[3]) @ weights[trials]
+            moved = np.tensordot(moved.reshape(here.shape), here, axes=((0, 2, 3), (0, 2, 3)))
+            left = 3.0 * len(trials) * np.eye(len(own)) - root @ moved @ root.T
             by_along[np.ix_(own, own)] += root.T @ left @ root
         rates = _rates_along(size, share, length, self.arc_length)
         scattered = np.add.reduceat(by_column, np.cumsum((0, *COLUMNS[:-1])))
-        return np.append(np.einsum("kij,ij->k", rates, by_along), scattered)
+        return float(value + log_det), np.append(np.einsum("kij,ij->k", rates, by_along), scattered)
 
-    def _weights(self, products, scatter) -> np.ndarray:
-        """(t, 1 + P + 15, same) derivatives of `value` by the products of columns."""
+    def _weights(self, products, scatter) -> tuple[float, np.ndarray]:
+        """`value` but for the markers' determinant, and its (t, 1 + P + 15, same) derivatives by
+        the products of columns."""
         own, others, u = self.own, self.others, np.repeat(scatter, COLUMNS)[:, None]
-        inverse = u * np.linalg.inv(np.eye(len(u)) + u * products[:, others, others] * u.T) * u.T
+        inner = np.eye(len(u)) + u * products[:, others, others] * u.T
+        inverse = u * np.linalg.inv(inner) * u.T
         left = np.eye(products.shape[1])[:, own] + np.zeros((len(products), 1, 1))
         left[:, others] = -inverse @ products[:, others, own]
         gram = (products[:, own] @ left).sum(axis=0)
-        weight = np.zeros_like(gram)
-        weight[1:, 1:] = np.linalg.inv(gram[1:, 1:] + np.eye(len(gram) - 1))
+        weight, matrix = np.zeros_like(gram), gram[1:, 1:] + np.eye(len(gram) - 1)
+        weight[1:, 1:] = np.linalg.inv(matrix)
         least = np.append(1.0, -weight[1:, 1:] @ gram[1:, 0])
+        value = gram[0] @ least + np.linalg.slogdet(matrix)[1] + np.linalg.slogdet(inner)[1].sum()
         out = left @ (weight + np.outer(least, least)) @ left.mT
         out[:, others, others] += inverse
-        return out
+        return value, out
 
     def _products(self, size, share, length) -> tuple:
         """((t, 1 + P + 15, same) products of columns in independent readings, the log determinant
-        of the common covariance, the columns (t, R, 1 + P + 15), and by what those of the markers
-        were multiplied, of each of `alike`); those of the last noise along the rod are kept."""
+        of the common covariance, and by what those of the markers are multiplied, of each of
+        `alike`); those of the last noise along the rod are kept."""
         known = size, share, length
         if self._last is not None and self._last[0] == known:
             return self._last[1]
-        along, x, log_det, roots = _along(*known, self.arc_length), self.columns.copy(), 0.0, []
-        markers = x[:, : 3 * self.count].reshape(len(x), self.count, 3, -1)
-        for trials, own in self.alike:
+        along, log_det, roots = _along(*known, self.arc_length), 0.0, []
+        products = self.apart.copy()
+        for trials, own, here in self.alike:
             factor = np.linalg.cholesky(along[np.ix_(own, own)])
             log_det += 6.0 * len(trials) * float(np.log(np.diag(factor)).sum())
             roots.append(np.linalg.inv(factor))
-            mine = markers[np.ix_(trials, own)]
-            apart = roots[-1] @ mine.reshape(len(trials), len(own), -1)
-            markers[np.ix_(trials, own)] = apart.reshape(mine.shape)
-        x[:, : 3 * self.count] = markers.reshape(len(x), 3 * self.count, -1)
-        self._last = known, (x.mT @ x, log_det, x, roots)
+            white = roots[-1] @ here.reshape(*here.shape[:2], -1)
+            white = white.reshape(len(trials), -1, here.shape[3])
+            products[trials] += white.mT @ white
+        self._last = known, (products, log_det, roots)
         return self._last[1]
