@@ -85,6 +85,14 @@ def test_pull_is_reached_and_kept_up():
         assert length / (0.2 * 31 / 33) - 1.0 == pytest.approx(0.06, rel=0.05)
 
 
+@pytest.fixture
+def soon_over(monkeypatch):
+    """Pulls that are kept up for less long."""
+    monkeypatch.setattr("wrod.knots.pull.SETTLE", 0.4)
+    monkeypatch.setattr("wrod.knots.pull.HOLD", 0.6)
+
+
+@pytest.mark.usefixtures("soon_over")
 def test_pull_that_is_over_stays_over_where_it_is_filmed():
     """Filmed at every tick, hands come to a rest at the tick where the pull ends."""
     ends = []
@@ -151,6 +159,7 @@ def pulled_scenes(scale):
     return outcome, table.batch.positions(), len(rounds)
 
 
+@pytest.mark.usefixtures("soon_over")
 def test_scenes_are_pulled_each_at_its_own_pace():
     scale = (1.3, 0.8)
     together, ends, rounds = pulled_scenes(scale)

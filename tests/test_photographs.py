@@ -121,10 +121,17 @@ def test_no_other_motion_brings_a_curve_nearer_in_the_mean(tmp_path):
     s = np.linspace(0.02, 0.36, 700)
     for height, bend in ((0.05, 0.0), (0.045, 0.05), (0.0, 0.0)):
         curve = np.column_stack([s, height * np.sin(12.0 * s) + bend * s**2])
-        placed = rigid(photograph, curve)
+        placed, tree = rigid(photograph, curve), cKDTree(curve)
 
-        def mean(motion, curve=curve):
-            return cKDTree(moved(motion, curve, centre)).query(points)[0].mean()
+        def mean(motion, tree=tree):
+            """Of the points moved back, for the curve moved on."""
+            turn, *shift = motion
+            return tree.query(moved([-turn, 0.0, 0.0], points - shift, centre))[0].mean()
+
+        on = placed.turn, *placed.shift
+        assert mean(on) == pytest.approx(
+            cKDTree(moved(on, curve, centre)).query(points)[0].mean(), rel=1e-9
+        )
 
         starts = rng.standard_normal((8, 3)) * [0.05, 0.01, 0.01]
         starts[:4] += [placed.turn, *placed.shift]
