@@ -19,8 +19,10 @@ from wrod.identification.clamped.loading import measurements_from_arrays
 
 @pytest.fixture(autouse=True)
 def grown_in_few_steps(monkeypatch):
-    """What is hidden in clamped rods: to so little they follow."""
+    """What is hidden in clamped rods: to so little they follow. Pictures of an identification are
+    those of every one."""
     monkeypatch.setattr("wrod.bench.loop_run.measured", partial(measured, steps=3))
+    monkeypatch.setattr("wrod.identification.clamped.pictures.as_png", lambda figure: b"PNG")
 
 
 def test_synthetic_measurements_show_the_true_rod():

@@ -30,7 +30,13 @@ def bent():
     return synthetic(apply, trials=7)
 
 
-@pytest.mark.usefixtures("on_coarse_meshes")
+@pytest.fixture
+def without_pictures(monkeypatch):
+    """Those of a report are the same whatever ended it."""
+    monkeypatch.setattr("wrod.identification.clamped.pictures.as_png", lambda figure: b"PNG")
+
+
+@pytest.mark.usefixtures("on_coarse_meshes", "without_pictures")
 def test_the_best_until_then_is_judged_and_explains_a_part_at_most(bent, monkeypatch, tmp_path):
     ended = []
 
@@ -76,6 +82,7 @@ def test_what_was_judged_stays_where_another_model_takes_too_long(bent, monkeypa
     assert laboratory.noise is noise
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_command_whose_time_is_over_at_once_says_so(bent, tmp_path):
     np.savez(tmp_path / "bent.npz", **bent)
     asked = ["identify", str(tmp_path / "bent.npz"), "--minutes", "0.001"]

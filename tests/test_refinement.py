@@ -34,7 +34,7 @@ def by_a_line(case: str):
 @cache
 def _fitted(case: str):
     data, truth = kept(case, 501, "correlated-0.7")
-    laboratory = Laboratory(measurements_from_arrays(data), edge_count=80)
+    laboratory = Laboratory(measurements_from_arrays(data), edge_count=60)
     model = Model((effects()["stiffness_gradient"],))
     line = fit_models(laboratory, [model], [np.zeros(2)])[0]
     laboratory.refine(model, line.values)
