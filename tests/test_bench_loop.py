@@ -103,7 +103,8 @@ def test_a_rod_put_down_exactly_springs_as_far_as_friction_lets_it():
 
     from wrod.bench.loop_trials import _expected_best
 
-    line, rod = wrod.pattern("line"), wrod.rod("green-vps")
+    line = wrod.Pattern.from_points(np.linspace([0, 0, 0], [0.3, 0, 0], 30))
+    rod = wrod.rod("green-vps")
     bent, hold = replace(rod, natural_curvature=(6.0, 0.0)), 0.05
     path = wrod.plan(line, rod, "neural")
 
