@@ -159,7 +159,10 @@ class Sensitivity:
             names = ("bending_stiffness", "softening")
             arrays = (layer.bending.numpy(), layer.softening.numpy())
             here = dict(zip(names, arrays, strict=True))
-            own = {name: _rates_of([law[k][i] for law in laws]) for i, name in enumerate(names)}
+            parts = zip(*(law[k] for law in laws), strict=True)
+            own = {
+                n: _rate_of(np.stack(part, axis=1)) for n, part in zip(names, parts, strict=True)
+            }
             here |= {name: np.zeros_like(model[name]) for name in none}
             own |= {name: np.zeros_like(moved[name]) for name in none}
             out += self._elastic_rates(model | here, moved | own)
@@ -354,8 +357,3 @@ def _moves(setup: ClampedSetup, names: Iterable[str]) -> bool:
 
 def _rate_of(value: np.ndarray) -> np.ndarray:
     return np.imag(value) / COMPLEX_STEP
-
-
-def _rates_of(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """(rod, column, ...) imaginary parts of (rod, ...) of every column, per `COMPLEX_STEP`."""
-    return np.stack([np.imag(one) for one in columns], axis=1) / COMPLEX_STEP
