@@ -1,12 +1,14 @@
 """Gradients of `SolverDER` on a `wp.Tape` through bodies that it moves, against differences."""
 
 import contextlib
+from functools import cache
 
 import newton
 import numpy as np
 import pytest
 import warp as wp
 from chosen import DEVICE
+from newton._src.geometry import narrow_phase
 from scipy.spatial.transform import Rotation
 from test_newton_gradients import (
     STATE,
@@ -23,6 +25,7 @@ import wrod
 from wrod.newton_solver.gradients import PROPERTIES
 
 SolverDER = wrod.SolverDER
+NAME = "create_narrow_phase_kernel_gjk_mpr"
 BODY = ("body_q", "body_qd", "body_f")
 # Steps of differences that single precision takes exactly.
 EXACT = {
@@ -37,6 +40,14 @@ PRESSED = {
 LITTLE = ["edge_spin", "edge_stretching_stiffness", "node_twisting_stiffness", "rod_air_damping"]
 # What a loss weighs poses and velocities of the body by, exact in single precision.
 WEIGHTS = np.array([192, -128, 320, 256, 64, -192, 128, 20, 12, -26, 1, 2, -1]) / 64.0
+
+
+@pytest.fixture(autouse=True, scope="module")
+def detection_of_one_kind():
+    """Newton makes, hashes and loads kernels alike for every scene whose collisions it detects."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(narrow_phase, NAME, cache(getattr(narrow_phase, NAME)))
+        yield
 
 
 @wp.kernel

@@ -77,7 +77,7 @@ def test_a_rod_that_never_yields_hangs_as_a_linear_one():
 def test_grasps_converge_with_the_distance_of_contacts():
     """Twice, and in a mirror."""
     wire, how = of_law(Plastic(10.0, 0.4)), dict(device="cpu", edge_count=32)
-    contacts = np.linspace(0.0, 1.6 * LGB, 65)
+    contacts = np.linspace(0.0, 0.8 * LGB, 33)
     curvature = 15.0 * np.sin(contacts / 0.03)
     fine, less, least = (
         wrod.solve_rod_grasps(wire, contacts[::k], curvature[::k], **how) for k in (1, 2, 4)
@@ -105,7 +105,7 @@ def test_where_a_bent_wire_cannot_hang_a_straighter_one_does(monkeypatch):
     wire = replace(
         of_law(Plastic(10.0, 0.5)), natural_curvature=tuple(wrod.Profile(b, knots) for b in bends)
     )
-    contacts, lines = np.linspace(0.11, 0.16, 12), np.zeros(12)
+    contacts, lines = np.linspace(0.11, 0.16, 8), np.zeros(8)
     how = dict(held_roll=0.5 * np.pi, edge_count=32, device="cpu")
     solved, solve = [], relaxed.solve_rod_grasps
 
@@ -117,7 +117,7 @@ def test_where_a_bent_wire_cannot_hang_a_straighter_one_does(monkeypatch):
     grasps, share = relaxed.solve_relaxed(wire, contacts, lines, **how)
     asked, own = solved[0]
     assert (asked == 1.0).all() and len(own) == len(contacts)
-    assert 3 < (~own.converged).sum() < 9
+    assert 2 < (~own.converged).sum() < 6
     assert grasps.converged.all()
     assert (share[~own.converged] < 1.0).all() and (share > 0.0).all()
     # They are the same whether asked for with the share beforehand, and twice of it is too much.
