@@ -77,7 +77,7 @@ class Scene(Differenced):
     """A rod that a free body with an eccentric centre of mass holds: by its start, its end, and at
     its middle. Runs without a tape share a solver, which is told of what has changed."""
 
-    steps = 5
+    steps = 4
     dt = 0.01
     solver = None
     tray = -1

@@ -20,7 +20,7 @@ from wrod.rods.law import Dahl, Plastic, StandardLinearSolid
 
 SolverDER = wrod.SolverDER
 STATE = ("node_q", "node_qd", "edge_director", "edge_spin")
-STEPS = 6
+STEPS = 5
 f64, vec3d = wp.float64, wp.vec3d
 
 
@@ -125,6 +125,7 @@ class Scene(Differenced):
         **options,
     ):
         self.dt, self.states, self.ground, self.crossed = dt, states, ground, crossed
+        self.steps = STEPS + bool(ground)  # until all that is to slide has slid
         self.kinked = ground or law is not None or crossed  # forces have corners
         self.options = {"tolerance": 1e-13, "max_iterations": 60} | options
         material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.3)
@@ -211,7 +212,7 @@ class Scene(Differenced):
             self.start["edge_director"][7] = der.edge_director.numpy()[7]
         self.on_body = hung is not None
         # Rods that may touch go by radii in a step.
-        n = np.arange(STEPS)[:, None] * (0.3 if together else 1.0)
+        n = np.arange(self.steps)[:, None] * (0.3 if together else 1.0)
         tilt = 0.0 if together else 0.3
         turn = Rotation.from_rotvec(n * [0.03, 0.05, -0.04] + [0.0, tilt, 0.0]).as_quat()
         poses = np.concatenate([n * [0.01, 0.005, 0.003], turn], axis=1)
@@ -277,7 +278,7 @@ class Scene(Differenced):
         for k in range(warm):
             step(k)
         with contextlib.nullcontext() if tape is None else tape:
-            for k in range(warm, STEPS):
+            for k in range(warm, self.steps):
                 end = step(k)
             arrays = [getattr(end.der, name) for name in STATE]
             arrays += [end.body_q, self.capsule]
