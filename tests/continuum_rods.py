@@ -10,13 +10,15 @@ no twisting moment are given, at the grip no bending moment; the closure is the 
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from wrod.bench.continuous_rod import excess_of
+from wrod.bench.continuous_rod import derivatives_of, excess_of
+from wrod.bench.continuous_stability import cross
 from wrod.grasps.mesh import WEIGHT
 from wrod.grasps.optimal import solve_grasps
 from wrod.rods.law import Linear
@@ -112,10 +114,6 @@ def _moments(section: Section, excess, s):
     return linear * (kept + (1 - kept) / (1 + x))
 
 
-def _cross(a, b):
-    return np.cross(a, b, axis=0)
-
-
 class ContinuumGrasp:
     """Grasp of a section's rod; what is `given` beside mechanics is ("tension", force n_x at the
     contact), ("reach", x of the grip), or instead of the pattern's curvature ("held", (position,
@@ -127,7 +125,7 @@ class ContinuumGrasp:
 
     def rhs(self, section, s, y, p):
         t, d, m = y[3:6], y[6:9], y[9:12]
-        e = _cross(t, d)
+        e = cross(t, d)
         n = np.stack([p[0] + 0 * s, p[1] + 0 * s, p[2] + y[12]])
         # dt/ds = c_1 d_1 + c_2 d_2 is the curvature vector c_1 d_2 - c_2 d_1.
         moment = np.stack([(m * e).sum(0), -(m * d).sum(0)])
@@ -136,7 +134,7 @@ class ContinuumGrasp:
         turn = (m * t).sum(0) / section.twisting(s) + section.twist(s)
         w = c[0] * e - c[1] * d + turn * t
         dq = (1 + (n * t).sum(0) / section.stretching(s)) * t
-        parts = [dq, _cross(w, t), _cross(w, d), -_cross(dq, n), section.weight(s)[None]]
+        parts = [dq, cross(w, t), cross(w, d), -cross(dq, n), section.weight(s)[None]]
         return np.concatenate(parts)
 
     def ends(self, section, given, a, b, p):
@@ -163,10 +161,10 @@ class ContinuumGrasp:
     def solve(self, given, share=1.0, tolerance=TOLERANCE):
         section = self.section if share == 1.0 else self.section.mixed(share)
         s, y, p = self.guess
+        rhs = partial(self.rhs, section)
         found = solve_bvp(
-            lambda s, y, p: self.rhs(section, s, y, p),
-            lambda a, b, p: self.ends(section, given, a, b, p),
-            s, y, p=p, tol=tolerance, max_nodes=60000,
+            rhs, partial(self.ends, section, given), s, y, p=p, fun_jac=derivatives_of(rhs),
+            tol=tolerance, max_nodes=60000,
         )  # fmt: skip
         assert found.success, found.message
         self.guess = found.x, found.y, found.p

@@ -172,6 +172,26 @@ def excess_of(moment: np.ndarray, stiffness: np.ndarray, law: Callable | None, s
     return excess * (e / size)
 
 
+def derivatives_of(rhs: Callable) -> Callable:
+    """Those of `rhs`, (s (K,), y (n, K)[, p (k,) or (k, K)]) -> (n, K), by its numbers, as SciPy's
+    `solve_bvp` takes and would find them, by forward differences: (n, n, K), and (n, k, K) by p.
+    All are moved at once, as for so few points a call costs more than what it does."""
+
+    def derivatives(s, y, *p):
+        z = np.concatenate([y, *(np.broadcast_to(one[:, None], (len(one), len(s))) for one in p)])
+        n, i = len(y), np.arange(len(z))
+        moved = np.repeat(z[:, None], len(z) + 1, axis=1)  # the last one stays
+        moved[i, i] += np.sqrt(np.finfo(float).eps) * (1.0 + np.abs(z))
+        step = moved[i, i] - z
+        many = moved.reshape(len(z), -1)
+        rates = rhs(np.tile(s, len(z) + 1), *np.split(many, [n])[: 1 + len(p)])
+        rates = rates.reshape(n, len(z) + 1, len(s))
+        out = (rates[:, :-1] - rates[:, -1:]) / step
+        return (out[:, :n], out[:, n:]) if p else out
+
+    return derivatives
+
+
 def _coupled(moment, torque, bending, twisting, coupling) -> np.ndarray:
     """(3, K) curvatures and twist of a section whose bending and twisting are coupled."""
     section = np.zeros((moment.shape[1], 3, 3))
@@ -240,7 +260,8 @@ def _solve(rod, experiment: Experiment, share: float, a, ra, b, rb, guess, toler
         left = product(inverse[:, None], y1[3:7, None])[1:, 0]
         return np.concatenate([y0[:3] - a, y0[3:7] - qa, y1[:3] - b, left])
 
-    found = solve_bvp(rhs, ends, *guess, tol=tolerance, max_nodes=4000)
+    derivatives = derivatives_of(rhs)
+    found = solve_bvp(rhs, ends, *guess, fun_jac=derivatives, tol=tolerance, max_nodes=4000)
     if not found.success:
         raise DataError(f"collocation finds no equilibrium of the clamped rod: {found.message}")
     return found, rhs
