@@ -23,6 +23,8 @@ _NEAR, _DONE, _STEPS, _TIMES = 1e-3, 1e-6, 300, 10
 # Of the friction that a curve asks for, that which the next one may; by how much it may miss it.
 _FALLS, _MISSES = 0.7, 1e-5
 
+Statics = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
 
 def held(pattern: Pattern, rod: Rod, friction: float) -> tuple[np.ndarray, np.ndarray]:
     """Nodes of the nearest curve to a pattern at which friction can hold a rod, without stretch.
@@ -85,9 +87,9 @@ class _Problem:
         self.lengths = np.full(self.count, self.edge)  # of rod that each node but the last bears
         self.lengths[0] *= 0.5
         self._at = np.zeros(0)
-        self._statics: tuple[np.ndarray, ...] = ()
+        self._statics: Statics = (self._at,) * 4
 
-    def statics(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
+    def statics(self, values: np.ndarray) -> Statics:
         """Places (n + 1, 2), friction (n, 2) that the nodes but the last ask for, and the tangents
         (n, 2) and forces (n, 2) of edges."""
         if np.array_equal(values, self._at):  # which distance, room and its slope ask for in turn
