@@ -1,4 +1,5 @@
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -9,11 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cli import done, refused, told
+from forked import server
 from wrod.training import dataset, store
 from wrod.training.dataset import Rank, generate, load
 from wrod.training.sampling import RANGE, RodInputs, sample, sample_worst
 
 import wrod
+from wrod.commands import main
 from wrod.errors import DataError, RodError
 from wrod.rods.law import Softening
 from wrod.rods.profile import Profile
@@ -26,20 +29,18 @@ CODE = "from wrod.commands import main; main()"
 COMMAND = [sys.executable, "-c", CODE, "dataset", *OPTIONS, "--json"]
 
 
-# It strikes while the third shard is written.
-KILLED = """
-import os
-from wrod.commands import main
-from wrod.training import store
-write, written = store.write_tensors, []
-def kill(*arguments):
-    if len(written) == 2:
-        os.kill(os.getpid(), 9)
-    written.append(write(*arguments))
-    return written[-1]
-store.write_tensors = kill
-main()
-"""
+def killed(words):
+    """`wrod` that is killed while the third shard is written."""
+    write, written = store.write_tensors, []
+
+    def kill(*arguments):
+        if len(written) == 2:
+            os.kill(os.getpid(), signal.SIGKILL)
+        written.append(write(*arguments))
+        return written[-1]
+
+    store.write_tensors = kill
+    main(words)
 
 
 def contents(folder):
@@ -102,8 +103,8 @@ def test_rows_are_the_solver_s_grasps(whole):
 
 
 def test_killed_and_run_again_gives_the_same_bytes(whole, tmp_path):
-    killed = subprocess.run([sys.executable, "-c", KILLED, *COMMAND[3:], "--out", str(tmp_path)])
-    assert killed.returncode == -signal.SIGKILL
+    end = server().run(killed, ([*COMMAND[3:], "--out", str(tmp_path)],), tmp_path)
+    assert end.code == -signal.SIGKILL
     found = len(list(tmp_path.glob("grasps-*")))
     (tmp_path / ".grasps-00008.safetensors.abc").write_bytes(b"what a kill leaves of a write")
     assert found == 2
