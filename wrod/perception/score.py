@@ -38,9 +38,8 @@ def score_paths(
     order, offsets = count, []
     for row, column in zip(rows, columns, strict=True):
         line, rod = lines[row], rods[column]
-        distance = distance_transform_edt(~rod)
         at = np.round(line.points).astype(int).clip(0, np.array(labels.shape[::-1]) - 1)
-        near = distance[at[:, 1], at[:, 0]] <= 2.5 * line.radius + 2
+        near = _distances(rod, at) <= 2.5 * line.radius + 2
         order *= float(near.mean() >= 0.95)
         offsets.append(_offsets(line, rod, (labels > 0) & ~rod))
     if crossings is not None and lines:
@@ -81,6 +80,11 @@ def _draw(line: Centerline, shape: tuple[int, int]) -> np.ndarray:
     return out
 
 
+def _distances(mask: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """From pixels (point, 2) to the nearest of a mask [px]; infinite if it has none."""
+    return cKDTree(np.argwhere(mask)[:, ::-1]).query(at)[0]
+
+
 def _offsets(line: Centerline, rod: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Distances of the path from the middle of the rod's label, away from crossings [px]."""
     (points,) = refine.resample(line.points, 1.0)
@@ -95,7 +99,7 @@ def _offsets(line: Centerline, rod: np.ndarray, others: np.ndarray) -> np.ndarra
     inside = ((at > skip) & (at < np.array(rod.shape[::-1]) - 1 - skip)).all(1)
     at = at.clip(0, np.array(rod.shape[::-1]) - 1)
     clear = inside & rod[at[:, 1], at[:, 0]]
-    clear &= distance_transform_edt(~others)[at[:, 1], at[:, 0]] > 3 * line.radius
+    clear &= _distances(others, at) > 3 * line.radius
     left, right = np.minimum(left, 1e6), np.minimum(right, 1e6)
     width = left + right
     clear &= (width > 1.2 * line.radius) & (width < 3 * line.radius + 1)
