@@ -1,7 +1,9 @@
 """Fixtures that several test files use."""
 
+import fcntl
 import gc
 import os
+import pickle
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -72,7 +74,27 @@ def shared() -> Path:
 
 
 @pytest.fixture(scope="session")
-def bend():
+def once(tmp_path_factory):
+    """A function: what a name stands for, made by another function in one of several processes."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+
+    def shared_out(name, make):
+        with open(folder / name, "a+b") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            if file.seek(0, os.SEEK_END):
+                file.seek(0)
+                return pickle.load(file)
+            made = make()
+            pickle.dump(made, file)
+            return made
+
+    return shared_out
+
+
+@pytest.fixture(scope="session")
+def bend(once):
     """A bend of 0.25 m, and a plan of it for `vps.SHORT`."""
     import numpy as np
     from vps import SHORT
@@ -81,24 +103,23 @@ def bend():
     heading = 0.5 * (1.0 + np.tanh((s - 0.15) / 0.04))
     points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
     pattern = wrod.Pattern.from_points(points)
-    return pattern, wrod.plan(pattern, SHORT, spacing=0.005)
+    return pattern, once("bend", lambda: wrod.plan(pattern, SHORT, spacing=0.005))
 
 
 @pytest.fixture(scope="session")
-def letter():
+def letter(once):
     """An optimal trajectory of a letter C for rod 2, with the shapes of the rod."""
-    return wrod.plan(
-        wrod.pattern("letter-C"), wrod.rod("green-vps"), method="numeric", device="cpu"
-    )
+    pattern, rod = wrod.pattern("letter-C"), wrod.rod("green-vps")
+    return once("letter", lambda: wrod.plan(pattern, rod, method="numeric", device="cpu"))
 
 
 @pytest.fixture(scope="session")
-def letter_path(letter):
+def letter_path(once, letter):
     """Its joint path, placed automatically."""
     import torch
 
     torch.set_num_threads(1)
-    return wrod.solve_joint_path(letter)
+    return once("letter_path", lambda: wrod.solve_joint_path(letter))
 
 
 @pytest.fixture
