@@ -15,14 +15,14 @@ def new_figure(width: float, height: float):
     return Figure(figsize=(width, height), facecolor="white", layout="constrained")
 
 
-def as_png(figure, dpi: int = 120, metadata: dict | None = None) -> bytes:
-    """The figure as the bytes of a PNG file."""
+def as_png(figure, dpi: int = 120, **how) -> bytes:
+    """The figure as the bytes of a PNG file; `how` are arguments of `print_png`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     # What draws it lays it out; `savefig` draws all of it once more for that.
     buffer = io.BytesIO()
     figure.set_dpi(dpi)
-    FigureCanvasAgg(figure).print_png(buffer, metadata=metadata)
+    FigureCanvasAgg(figure).print_png(buffer, **how)
     return buffer.getvalue()
 
 
@@ -39,9 +39,8 @@ def dress(axes, title: str = "", x: str = "", y: str = "", *, legend: bool = Fal
     axes.grid(color=GRID, lw=0.6)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=8, colors=MUTED, which="both", length=0)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(FAINT)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[:].set_color(FAINT)
 
 
 def dress_space(axes, ticks, unit: str, size: float) -> None:
@@ -68,8 +67,7 @@ def dress_map(axes, title: str) -> None:
     """Of a map: a title, and no frame."""
     axes.set_title(title, loc="left", fontsize=9, color=MUTED)
     axes.tick_params(labelsize=8, colors=MUTED, length=0)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    axes.spines[:].set_visible(False)
 
 
 def add_scale(figure, image, axes, label: str) -> None:

@@ -155,11 +155,9 @@ def write_npz(path: str | os.PathLike[str], **arrays: Any) -> Path:
     return write_atomically(path, lambda file: savez_compressed(file, **arrays), "wb")
 
 
-def write_figure(
-    path: str | os.PathLike[str], figure: Any, dpi: int = 120, metadata: dict | None = None
-) -> Path:
-    """A figure of matplotlib as PNG, as `write_text`."""
-    return write_atomically(path, lambda file: file.write(as_png(figure, dpi, metadata)), "wb")
+def write_figure(path: str | os.PathLike[str], figure: Any, dpi: int = 120, **how: Any) -> Path:
+    """A figure of matplotlib as PNG, as `write_text`; `how` as `as_png` takes it."""
+    return write_atomically(path, lambda file: file.write(as_png(figure, dpi, **how)), "wb")
 
 
 @needed_extras()

@@ -39,8 +39,7 @@ def score_paths(
     for row, column in zip(rows, columns, strict=True):
         line, rod = lines[row], rods[column]
         at = np.round(line.points).astype(int).clip(0, np.array(labels.shape[::-1]) - 1)
-        near = _distances(rod, at) <= 2.5 * line.radius + 2
-        order *= float(near.mean() >= 0.95)
+        order *= float((_distances(rod, at) <= 2.5 * line.radius + 2).mean() >= 0.95)
         offsets.append(_offsets(line, rod, (labels > 0) & ~rod))
     if crossings is not None and lines:
         order *= float(len(find_crossings(lines)) == crossings)
@@ -98,8 +97,7 @@ def _offsets(line: Centerline, rod: np.ndarray, others: np.ndarray) -> np.ndarra
     at = np.round(points).astype(int)
     inside = ((at > skip) & (at < np.array(rod.shape[::-1]) - 1 - skip)).all(1)
     at = at.clip(0, np.array(rod.shape[::-1]) - 1)
-    clear = inside & rod[at[:, 1], at[:, 0]]
-    clear &= _distances(others, at) > 3 * line.radius
+    clear = inside & rod[at[:, 1], at[:, 0]] & (_distances(others, at) > 3 * line.radius)
     left, right = np.minimum(left, 1e6), np.minimum(right, 1e6)
     width = left + right
     clear &= (width > 1.2 * line.radius) & (width < 3 * line.radius + 1)
