@@ -65,11 +65,8 @@ def leave_out_adjoints() -> str:
     # Tapes add up adjoints of copies by kernels that Warp makes as it meets them, of a module that
     # is compiled anew with each: here are all, in one order.
     wp.get_module(_SUMS).options["enable_backward"] = False
-    for kind, sizes in (
-        (wp.spatial_vector, (1, 2)), (wp.transform, (2,)), (wp.float32, (2,)), (wp.float64, (2,)),
-        (wp.vec3d, (2,)),
-    ):  # fmt: skip
-        for size in sizes:
+    for kind in (wp.spatial_vector, wp.transform, wp.float32, wp.float64, wp.vec3d):
+        for size in (1, 2):  # one of its own where an array has one element
             array = wp.zeros(size, dtype=kind, device="cpu")
             wp.map(wp.add, array, array, out=array, return_kernel=True)
     return wp.config.kernel_cache_dir
