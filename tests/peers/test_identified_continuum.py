@@ -50,9 +50,9 @@ def hanging(rod, *, trials=12, markers=31, seed=0):
     }
 
 
-def made(experiment, seed=0, trials=12):
+def made(experiment, seed=0, trials=12, steps=STEPS):
     hung = hanging(ROD, seed=seed, trials=trials)
-    return measurements_from_arrays(measured(hung, experiment, steps=STEPS))
+    return measurements_from_arrays(measured(hung, experiment, steps=steps))
 
 
 class Thread(Effect):
@@ -92,7 +92,7 @@ def test_predictions_are_of_second_order(bent):
 
     quiet = measured(
         hanging(ROD, trials=3), replace(world_of(rod, ROD), see=see), noise=0.0,
-        wrench_noise=False, steps=STEPS,
+        wrench_noise=False, steps=1,
     )  # fmt: skip
     measurements = measurements_from_arrays(quiet)
 
@@ -126,7 +126,7 @@ def test_predictions_are_of_second_order(bent):
 def test_an_effect_of_our_own_invention_is_found():
     pull = Experiment(force=lambda s: np.array([[0.0], [0.02], [0.0]]) * around(s, 0.31, 0.004))
     report = identify(
-        made(pull, trials=6), candidates=[Thread(), "natural_curvature", "gravity_tilt"]
+        made(pull, trials=6, steps=1), candidates=[Thread(), "natural_curvature", "gravity_tilt"]
     )
     assert report.verdict == "explained"
     assert [e.name for e in report.effects] == ["thread"]
