@@ -18,10 +18,10 @@ from wrod.identification.clamped.loading import measurements_from_arrays
 
 
 @pytest.fixture(autouse=True)
-def grown_in_few_steps(monkeypatch):
-    """What is hidden in clamped rods: to so little they follow. Pictures of an identification are
-    those of every one."""
-    monkeypatch.setattr("wrod.bench.loop_run.measured", partial(measured, steps=3))
+def grown_in_one_step(monkeypatch):
+    """What is hidden in clamped rods: to so little they follow at once. Pictures of an
+    identification are those of every one."""
+    monkeypatch.setattr("wrod.bench.loop_run.measured", partial(measured, steps=1))
     monkeypatch.setattr("wrod.identification.clamped.pictures.as_png", lambda figure: b"PNG")
 
 
