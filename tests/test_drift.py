@@ -78,7 +78,7 @@ def test_what_settles_goes_from_first_to_last_and_may_be_a_straight_line(by_loga
 def test_a_rod_that_warms_loses_stiffness_and_not_weight():
     """By a set of a solver that shares nothing with this one, as large as it is, in the trials
     that no fit has seen as well; nothing else is found to change beside it."""
-    lab = laboratory("warming", 101)
+    lab = laboratory("warming", 101, edges=60)
     ((change,),) = kept("warming", 101)[1]["drift_of_stiffness"].values()
     fits = with_drift(lab, list(effects().values()), base_fit(lab))
     best, m = fits[0], lab.measurements

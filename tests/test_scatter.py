@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hidden import coarse, kept
+from hidden import COARSE, coarse, kept
 from test_clamped_noise import ARC, READINGS, TRIALS, columns
 
 from wrod.commands import main
@@ -35,9 +35,9 @@ from wrod.identification.effect import Model, effects
 
 
 @cache
-def laboratory(case: str, seed: int, noise: str = "white") -> Laboratory:
+def laboratory(case: str, seed: int, noise: str = "white", edges: int = COARSE) -> Laboratory:
     data, _ = kept(case, seed, noise)
-    return coarse(data, case, 60)
+    return coarse(data, case, edges)
 
 
 def scatter_of(lab: Laboratory, model=None, values=()):
