@@ -287,9 +287,10 @@ class Runs:
         return run
 
     def keep(self, runs: Sequence[MotionRun]) -> None:
-        """Take runs that have finished for others, but for long ones, which are large."""
-        sizes = [r.batch.rod_count * r.batch.node_count * r.last for r in runs]
-        self._kept += [r for r, size in zip(runs, sizes, strict=True) if size < _LONG]
+        """Take short runs that have finished on a CPU for others; long ones are large."""
+        for r in runs:
+            if r.device == "cpu" and r.batch.rod_count * r.batch.node_count * r.last < _LONG:
+                self._kept.append(r)
         del self._kept[:-_MOST_KEPT]
 
 
