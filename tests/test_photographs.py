@@ -112,6 +112,19 @@ def test_one_rigid_motion_is_taken_out(tmp_path):
     assert rigid(photograph, bent).mean <= raw(photograph, bent).mean
 
 
+def test_points_are_as_far_as_the_curve_is_between_its_points(tmp_path):
+    """A circle of 40 places 2 mm apart; beyond its ends these are the nearest."""
+    photograph = load_photograph(write(tmp_path / "rope-sine-int.npz"))
+    turn, rng = np.linspace(0.0, 1.5, 40), np.random.default_rng(0)
+    curve = 0.05 * np.column_stack([np.cos(turn), np.sin(turn)])
+    at, off = rng.uniform(0.1, 1.4, 300), rng.normal(0.0, 1e-3, 300)
+    points = (0.05 + off)[:, None] * np.column_stack([np.cos(at), np.sin(at)])
+    points[0] = 0.05, -0.01
+    seen = replace(photograph, centerline=points, seen=np.ones(300, bool))
+    assert raw(seen, curve).distance[0] == pytest.approx(0.01)
+    assert raw(seen, curve).distance[1:] == pytest.approx(np.abs(off[1:]), abs=1e-5)
+
+
 def test_no_other_motion_brings_a_curve_nearer_in_the_mean(tmp_path):
     """Searched for without derivatives from many places; points beyond a curve's end pull along it,
     which fits across it do not see."""

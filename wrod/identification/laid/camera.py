@@ -160,8 +160,7 @@ class _Tail:
             return None
         placed = rigid(photograph, camera.view(photograph, rod.arc_length, rod.nodes))
         count = int(np.ptp(rod.arc_length) / 1e-3) + 2
-        s = np.linspace(rod.arc_length[0], rod.arc_length[-1], count)
-        fine = np.column_stack([np.interp(s, rod.arc_length, c) for c in rod.nodes.T])
+        fine = rod.at(np.linspace(rod.arc_length[0], rod.arc_length[-1], count))
         points, motion = photograph.points, np.array([placed.turn, *placed.shift])
         one = cls(points, fine, photograph.middle, points.mean(axis=0), motion)
         near = cdist(points, one._shown(camera)).argmin(axis=1)

@@ -117,7 +117,16 @@ def seen_from(
 
 def raw(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
     """The curve where it was predicted."""
-    return Alignment(curve, 0.0, np.zeros(2), cKDTree(curve).query(photograph.points)[0])
+    return Alignment(curve, 0.0, np.zeros(2), _off(photograph.points, curve))
+
+
+def _off(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
+    """(m,) distances from a curve [m]: up to half a step along it from its nearest point."""
+    near = cKDTree(curve).query(points)[1]
+    gap, step = points - curve[near], np.gradient(curve, axis=0)[near]
+    along = (gap * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-24)
+    along = np.clip(along, -0.5 * (near > 0), 0.5 * (near < len(curve) - 1))
+    return np.linalg.norm(gap - along[:, None] * step, axis=1)
 
 
 def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
@@ -138,7 +147,7 @@ def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
         if (np.abs(motion) > 2.0 * _UNIT).any():
             continue
         line = moved(motion, curve, centre)
-        found.append(Alignment(line, motion[0], motion[1:], cKDTree(line).query(points)[0]))
+        found.append(Alignment(line, motion[0], motion[1:], _off(points, line)))
     return min(found, key=lambda placement: placement.mean)
 
 
