@@ -7,14 +7,15 @@ import pytest
 
 from tests.hidden import kept
 from wrod.identification import identify
-from wrod.identification.clamped.fit import Fit
-from wrod.identification.clamped.giving import giving_for, giving_of
+from wrod.identification.clamped.fit import Fit, fit_models
+from wrod.identification.clamped.giving import giving_for, giving_of, settled, sole_ends
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.steps import base_fit
 from wrod.identification.effect import Model, effects
 
 PLAY = 0.06  # [rad]
+SOFT = 100.0  # [rad/(N m)]
 
 
 @pytest.fixture(scope="module")
@@ -40,20 +41,41 @@ def test_moments_at_the_gripper_are_those_that_the_wrist_reads(laboratory):
     assert play.turn == pytest.approx(expected / size, abs=0.02)
 
 
-@pytest.mark.usefixtures("on_coarse_meshes")
-def test_a_loose_clamp_is_not_called_a_turned_one(laboratory):
-    fit = _turned(laboratory, "clamp_rotation")
-    model = Model((giving_for(laboratory, fit, 0)[0][0],))
-    for _ in range(4):  # until the clamp lies where its own rods pull it to
-        own = replace(fit, model=model, values=np.array([PLAY]))
-        model = Model((giving_of(laboratory, own, "clamp", True),))
-    seen, rng = laboratory.observe(model, own.values), np.random.default_rng(5)
+def _measured(laboratory, giving):
+    """What is measured of rods at an end that gives so, with noise."""
+    fit = replace(base_fit(laboratory), model=Model((giving,)))
+    for _ in range(4):  # until the end lies where its own rods pull it to
+        own = replace(fit, values=np.array([PLAY if giving.has_play else SOFT]))
+        fit = replace(own, model=Model((giving_of(laboratory, own, giving.end, giving.has_play),)))
+    seen, rng = laboratory.observe(fit.model, own.values), np.random.default_rng(5)
     seen = seen + laboratory.deviation * rng.normal(size=seen.shape)
     data, markers = dict(kept("none 1", 101, "pose")[0]), seen[:, :-6]
     data["centerline"] = markers.reshape(data["centerline"].shape)
     data["grip_force"], data["grip_torque"] = seen[:, -6:-3], seen[:, -3:]
+    return measurements_from_arrays(data)
+
+
+def test_fingers_of_rubber_stand_for_slip_and_an_offset_together(laboratory):
+    soft = giving_of(laboratory, base_fit(laboratory), "grip", False)
+    rubber = Laboratory(_measured(laboratory, soft))
+    base = base_fit(rubber)
+    pair = Model((effects()["grip_slip"], effects()["grip_offset"]))
+    (two,) = fit_models(rubber, [pair], [np.zeros(4)], origin=base, race=False)
+    ends = sole_ends(rubber, two, base)
+    assert [f.model.names for f in ends] == [("grip_play",), ("grip_compliance",)]
+    one = settled(rubber, ends[1])
+    assert one.bic < two.bic - 10.0  # both leave noise
+    error = one.covariance[0, 0] ** 0.5
+    assert error < 0.1 * SOFT and abs(one.values[0] - SOFT) < 3.0 * error
+    assert not sole_ends(rubber, one, base)  # of one effect there is nothing to stand for
+
+
+@pytest.mark.usefixtures("on_coarse_meshes")
+def test_a_loose_clamp_is_not_called_a_turned_one(laboratory):
+    fit = _turned(laboratory, "clamp_rotation")
+    loose = giving_for(laboratory, fit, 0)[0][0]
     report = identify(
-        measurements_from_arrays(data), candidates=["clamp_rotation", "grip_rotation", "stiffness"]
+        _measured(laboratory, loose), candidates=["clamp_rotation", "grip_rotation", "stiffness"]
     )
     (effect,) = report.effects
     assert report.verdict == "explained" and effect.name == "clamp_play"

@@ -87,6 +87,19 @@ def giving_for(laboratory, fit: Fit, place: int) -> list[tuple[Effect, np.ndarra
     return found
 
 
+def sole_ends(laboratory, fit: Fit, base: Fit) -> list[Fit]:
+    """The base model's fit with an end that gives, for all of a model that has several effects: at
+    an end that it has slip, offset or turned, which one that gives looks like together."""
+    names = fit.model.names if len(fit.model.effects) > 1 else []
+    ends = [end for end in _ENDS if any(name.startswith(f"{end}_") for name in names)]
+    models = [
+        Model((giving_of(laboratory, fit, end, has_play),))
+        for end in ends
+        for has_play in (True, False)
+    ]
+    return fit_models(laboratory, models, [np.zeros(1) for _ in models], origin=base, race=False)
+
+
 def settled(laboratory, fit: Fit) -> Fit:
     """The fit with what follows from the rods' shapes, what they remember and how ends give, as its
     own rods have it: it was taken from those of a model before."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit, fit_models
-from wrod.identification.clamped.giving import TURNS, giving_for, pulled_at_own, settled
+from wrod.identification.clamped.giving import TURNS, giving_for, pulled_at_own, settled, sole_ends
 from wrod.identification.clamped.held_out import held_out_error
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import gain_of_scatter
@@ -246,9 +246,9 @@ def _special_cases(laboratory, current: Fit, candidates) -> list[Fit]:
             if other.name not in current.model.names:
                 models.append(Model((*own[:place], other, *own[place + 1 :])))
                 starts.append(np.concatenate([*parts[:place], start, *parts[place + 1 :]]))
-    if not models:
-        return []
-    fits = fit_models(laboratory, models, starts, origin=current, race=False)
+    fits = sole_ends(laboratory, current, base_fit(laboratory))
+    if models:
+        fits += fit_models(laboratory, models, starts, origin=current, race=False)
     return [f for f in fits if np.isfinite(f.chi_squared)]
 
 
