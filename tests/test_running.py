@@ -396,7 +396,7 @@ def test_rods_are_longer_than_what_is_measured_of_them():
         "measure --overhang 0.9 --fall 0.1 --radius 0.0016 --length 0.8",
     ):
         result = CliRunner().invoke(main, words.split())
-        assert result.exit_code == 2 and "--length" in result.stderr
+        assert result.exit_code == 2 and "length 0." in result.stderr
 
 
 def test_a_forked_process_compiles_with_threads_of_its_own():
