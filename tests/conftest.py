@@ -86,7 +86,10 @@ def once(tmp_path_factory):
             fcntl.flock(file, fcntl.LOCK_EX)
             if file.seek(0, os.SEEK_END):
                 file.seek(0)
-                return replace(pickle.load(file))  # so that nobody writes into its arrays, either
+                try:
+                    return replace(pickle.load(file))  # so that nobody writes into its arrays
+                except (EOFError, pickle.UnpicklingError):  # of a process that was killed
+                    file.truncate(0)
             made = make()
             pickle.dump(made, file)
             return made

@@ -11,6 +11,7 @@ from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.giving import giving_for, giving_of, settled, sole_ends
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
+from wrod.identification.clamped.profiles import KNOTS, ProfileEffect
 from wrod.identification.clamped.steps import base_fit
 from wrod.identification.effect import Model, effects
 
@@ -68,6 +69,14 @@ def test_fingers_of_rubber_stand_for_slip_and_an_offset_together(laboratory):
     error = one.covariance[0, 0] ** 0.5
     assert error < 0.1 * SOFT and abs(one.values[0] - SOFT) < 3.0 * error
     assert not sole_ends(rubber, one, base)  # of one effect there is nothing to stand for
+
+
+def test_ends_that_stand_for_a_profile_of_three_components_start_from_nothing(laboratory):
+    effect = ProfileEffect("stiffness", np.ones((KNOTS, 1, 3)))
+    fit = replace(base_fit(laboratory), model=Model((effect,)), values=np.full(3, 0.01))
+    ways = giving_for(laboratory, fit, 0)
+    assert [way.name for way, _ in ways] == ["clamp_compliance", "grip_compliance"]
+    assert all(start == [0.0] for _, start in ways)
 
 
 @pytest.mark.usefixtures("on_coarse_meshes")

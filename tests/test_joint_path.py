@@ -368,6 +368,7 @@ def test_placement_text_is_in_degrees():
     assert there[:3] == pytest.approx([0.5, 0.9, -0.3])
     with pytest.raises(RobotError, match=r"yaw of 90 rad, .* in four numbers in radians"):
         Placement.parse((0.5, -0.1, -0.3, 90.0))
+    assert Placement.parse((0.5, -0.1, -0.3, 6.2832)).yaw == 6.2832  # once round, as it is written
 
 
 def test_same_input_gives_the_same_path(letter, letter_path):

@@ -292,6 +292,12 @@ def test_a_correction_is_kept_for_what_it_saves_every_rod():
     lucky = told(0.9, 1.8, 2.8, 1.59)
     assert [is_better(lucky, before, among) for among in (1, 2, 3)] == [True, True, False]
     # Two steps of one direction are one chance, and only what has to do with neither is another.
+    few = np.random.default_rng(7).standard_normal((200, 4, 10))
+    nothing = {"error_robot": np.zeros(10), "diverged": 0, "beside": np.eye(10)[:, :4]}
+    counts = [independent([nothing | {"error_robot": e} for e in four], nothing) for four in few]
+    assert 3.4 < np.mean(counts) <= 4.0  # of ten rods they differ by chance
+    far = nothing | {"error_robot": np.full(10, np.inf)}
+    assert independent([far], nothing) == 1.0
     noise = np.random.default_rng(3).standard_normal((4, 60))
     start, *others = (
         {"error_robot": x, "diverged": 0, "beside": np.zeros((60, 4))}

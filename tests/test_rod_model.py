@@ -277,3 +277,14 @@ def test_a_file_in_other_units_is_asked_after(tmp_path, how, says):
     model = replace(wrod.RodModel.of(wrod.rod("green-vps")), **how)
     with pytest.warns(WrodWarning, match=says):
         wrod.load_rod(wrod.save_rod(model, tmp_path / "model.json"))
+
+
+def test_a_steel_tape_is_no_file_in_other_units(tmp_path, recwarn):
+    wide, thick, young, shear = 12e-3, 0.1e-3, 200e9, 77e9
+    tape = wrod.RodModel(
+        length=0.5, radius=thick, line_mass=7850.0 * wide * thick,
+        bending_stiffness=(young * wide * thick**3 / 12.0, young * thick * wide**3 / 12.0),
+        twisting_stiffness=shear * wide * thick**3 / 3.0, stretching_stiffness=young * wide * thick,
+    )  # fmt: skip
+    wrod.load_rod(wrod.save_rod(tape, tmp_path / "tape.json"))
+    assert not recwarn.list

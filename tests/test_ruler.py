@@ -138,6 +138,12 @@ def test_readings_that_cannot_be_are_refused(call, says):
         call()
 
 
+def test_half_a_circle_is_near_to_some_hanging_rod():
+    t = np.linspace(0.0, np.pi, 120)
+    found = measure_hanging_loop(np.column_stack([0.2 * np.cos(t), -0.2 * np.sin(t)]))
+    assert 0.0 < found.gravito_bending_length < 1.0 and found.error > 0.0
+
+
 def test_a_loop_upside_down_is_no_hanging_rod(loop):
     with pytest.raises(DataError, match="is y up"):
         measure_hanging_loop(loop * [1.0, -1.0])

@@ -212,7 +212,8 @@ def arc(angle, name="arc"):
 
 
 def test_little_friction_is_come_to_or_refused(monkeypatch):
-    """The way down ends where a curve asks for all that it is given, and where there is no way."""
+    """The way down ends where a curve asks for all that it is given, and where there is no way,
+    after one search for the next curve, of which ten are made."""
     pattern, rod = wrod.pattern("letter-C"), wrod.rod("rope")
     s, place = held(pattern, rod, 0.1)
     assert errors_along(pattern, s, place)[1].mean() < 0.01

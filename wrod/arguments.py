@@ -17,6 +17,8 @@ from wrod.errors import WrodError
 from wrod.places import DeviceLike, device_name, place
 
 _LARGEST = sys.float_info.max
+# [rad], as people write it; what is more was likely meant in degrees.
+ONCE_ROUND = 2.0 * math.pi + 1e-3
 # Numbers in an array: more would take gigabytes, if only to look whether all are finite.
 MOST_NUMBERS = 2**27
 F = TypeVar("F", bound=Callable)

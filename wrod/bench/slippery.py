@@ -19,6 +19,7 @@ from wrod.deployment.bounds import refuse_coarse_edges, refuse_long_moves
 from wrod.errors import RodError
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
+from wrod.files.writing import keeps
 from wrod.machine import machine_line
 from wrod.options import gathered, option, own_options, parse_list
 from wrod.planning.hold import held_near
@@ -227,6 +228,8 @@ class Shelf:
     def stock(self, cells: list[tuple], workers: int = 1) -> None:
         """Make the optimised plans among these (rod, pattern, friction, method) that are not there:
         together on a GPU, in processes on a CPU."""
+        for cell in cells:
+            keeps(self.place(*cell))
         jobs = [
             (self, *cell)
             for cell in dict.fromkeys(cells)

@@ -12,6 +12,7 @@ from wrod.bench import campaign, courses
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, read_pattern
 from wrod.files import row_schemas, write_text
 from wrod.files.ledger import Ledger
+from wrod.files.writing import keeps
 from wrod.machine import machine_line
 from wrod.options import gathered, option, refuse_idle_options
 from wrod.telling import json_option, tell
@@ -197,6 +198,7 @@ def _corrected_plans(
         name, curve, method = key
         led, material, trajectory, _ = plans[key]
         path = paths[name, substrate, curve, method] = folder / f"{name}-{substrate}-{curve}.npz"
+        keeps(path)
         if not path.exists():
             jobs.append((path, led, material, trajectory, friction(name, substrate), None, pace))
     with cost.progress_bar(total=len(jobs), desc="corrections") as bar:

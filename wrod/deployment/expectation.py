@@ -229,12 +229,16 @@ def independent(rivals: list[dict], before: dict) -> float:
     chance as these, by what `expect` says of them: 1 where all differ from it alike, as by steps of
     one direction. Of their correlation that is the square of the sum of the eigenvalues over the
     sum of their squares (Bretherton et al. 1999), which few rods make larger by chance."""
-    _, rest, free, _ = _beside_aside(_saved(rivals, before), np.array(before["beside"]))
+    saved = _saved([x for x in rivals if np.isfinite(x["error_robot"]).all()], before)
+    if not saved.size:
+        return 1.0
+    _, rest, free, _ = _beside_aside(saved, np.array(before["beside"]))
     rest = rest[:, rest.any(axis=0)]  # one that differs in nothing beats nothing
     if rest.shape[1] < 2 or free < 2:
         return float(max(rest.shape[1], 1))
     shared = (free * np.corrcoef(rest.T) ** 2 - 1.0) / (free - 1.0)
-    return float(rest.shape[1] ** 2 / np.maximum(shared, 0.0).sum())
+    count = rest.shape[1]
+    return float(count**2 / np.clip(shared.sum(), count, count**2))
 
 
 def _saved(rivals: list[dict], before: dict) -> np.ndarray:
@@ -260,7 +264,7 @@ def _beside_aside(
     if rank >= len(errors):
         design, fit, rank = design[:, :1], errors.mean(axis=0)[None], 1
     free = len(errors) - int(rank)
-    doubt = np.sqrt(np.linalg.pinv(design.T @ design)[0, 0] / free)
+    doubt = np.sqrt(np.linalg.pinv(design.T @ design)[0, 0] / max(free, 1))
     return fit[0], errors - design @ fit, free, float(doubt)
 
 

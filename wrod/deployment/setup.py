@@ -79,7 +79,7 @@ class Disturbance:
         arguments.check_fields(
             self, RodError, jitter=arguments.number(0.0, 1e3),
             lgb_error=arguments.number(-0.99, 10.0), offset=arguments.array((2,)),
-            yaw=arguments.number(-2.0 * np.pi, 2.0 * np.pi),
+            yaw=arguments.number(-arguments.ONCE_ROUND, arguments.ONCE_ROUND),
             natural_curvature=number, seed=arguments.whole(), slip=number,
             shaking_time=arguments.number(0.0, 1e5),
         )  # fmt: skip

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from wrod import arguments
 from wrod.errors import DataError, needed_extras
 from wrod.files.pictures import as_png
 
@@ -116,14 +115,9 @@ def suffixed(path: str | os.PathLike[str], suffix: str) -> Path:
     given = Path(path)
     if given.is_dir():
         raise DataError(f"{given}: is a folder; give the name of a file to write in it")
-    try:
-        if given.suffix.lower() in (".csv", ".npz"):
-            return given.with_suffix(suffix)
-        return given.with_name(given.name + suffix)
-    except ValueError:
-        raise DataError(
-            f"path is {arguments.shown(path)}; give the name of a file to write"
-        ) from None
+    if given.suffix.lower() in (".csv", ".npz"):
+        return given.with_suffix(suffix)
+    return given.with_name(given.name + suffix)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> Path:

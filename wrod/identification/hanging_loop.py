@@ -27,6 +27,7 @@ _GUESSES = (0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7)
 _STRETCH_RATIO = 1e4
 _UNLIKE = "no hanging rod fits these points; is y up, and is it one rod in a plane?"
 _PLANE = np.array([1.0, 1.0j])  # to points as complex numbers
+_ASTRAY = np.log(1e3)  # times the size of the loop that no L_gb is
 _STEPS = np.array([1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-3])  # of the differences
 
 
@@ -166,7 +167,8 @@ class _Fit:
     def equilibria(self, rows: np.ndarray):
         """(k, nodes, 2) of hanging rods [m], or None where one is not found."""
         share = np.arange(-1, _EDGES + 2) / _EDGES
-        if rows[:, 1].min() < 0.1:  # a step went astray: no rod between these ends
+        off = np.abs(rows[:, 0] - np.log(self.size)).max()
+        if rows[:, 1].min() < 0.1 or not off < _ASTRAY:  # no rod between these ends
             return None
         lengths = rows[:, 1] * self.arc[-1]
         edge = lengths / _EDGES

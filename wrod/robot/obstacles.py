@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from wrod.arguments import ONCE_ROUND
 from wrod.errors import RobotError
 from wrod.files import read_json, schemas
 from wrod.robot.capsules import Capsule, capsules_of
@@ -69,7 +70,7 @@ def _shape(path: Path, number: int, entry: schemas.Obstacle) -> LinkShape:
     if (size <= 0).any():
         raise RobotError(f"{where}: its size must be positive")
     turned = numbers("rpy", entry.rpy, 3)
-    if np.abs(turned).max() > 2.0 * np.pi:
+    if np.abs(turned).max() > ONCE_ROUND:
         raise RobotError(f"{where}: is turned by {turned.tolist()} rad (degrees?)")
     off = float(np.linalg.norm(entry.xyz))
     if kind != "mesh" and off - 2.0 * size.max() > _FARTHEST:

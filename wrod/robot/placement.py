@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.arguments import number, shown
+from wrod.arguments import ONCE_ROUND, number, shown
 from wrod.errors import RobotError
 from wrod.planning.trajectory import Trajectory
 from wrod.robot.capsules import capsules_of
@@ -94,7 +94,7 @@ class Placement:
                 f"placement {value!r:.80} is not 'auto' and not x,y,z,yaw: position of the "
                 "pattern's origin from the robot's base [m], with z the table's height, and yaw"
             ) from None
-        if abs(yaw) > 2.0 * math.pi:
+        if abs(yaw) > ONCE_ROUND:
             raise RobotError(
                 f"placement {shown(value)} has a yaw of {yaw:.3g} rad, more than once round; in "
                 "text it is in degrees, in four numbers in radians"

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from wrod.arguments import ONCE_ROUND
 from wrod.errors import RobotError, WrodWarning
 from wrod.files.reading import shown
 
@@ -18,7 +19,7 @@ _MOST_LINKS = 500
 # Of lengths [m], of angles [rad] and of joint speeds [rad/s]; files say 10000 for none.
 _FARTHEST, _MOST_TURN, _SLOWEST, _FASTEST = 100.0, 1e3, 1e-3, 1e5
 # What joints of arms reach in degrees only, not in radians; 1000 rad/s say that there is no limit.
-_TURNS, _SPEEDS, _ROTATED = 8.0 * math.pi, (30.0, 1e3), 2.0 * math.pi + 1e-3
+_TURNS, _SPEEDS = 8.0 * math.pi, (30.0, 1e3)
 _REMEDY = "correct the file"
 
 
@@ -260,7 +261,7 @@ def _ask_after_degrees(path, joint: ElementTree.Element, ends: tuple, speed: flo
     rotation = max(map(abs, rotated), default=0.0)
     said = [f"turns to {turn:g} rad"] * bool(turn > _TURNS)
     said += [f"may turn by {speed:g} rad/s"] * (_SPEEDS[0] < speed < _SPEEDS[1])
-    said += [f"is rotated by {rotation:g} rad"] * bool(rotation > _ROTATED)
+    said += [f"is rotated by {rotation:g} rad"] * bool(rotation > ONCE_ROUND)
     if said:
         text = f"{path}: joint {joint.get('name')!r:.80} {' and '.join(said)} (degrees?)"
         warnings.warn(WrodWarning(text), stacklevel=4)

@@ -170,11 +170,12 @@ def _doubts(model: RodModel) -> list[str]:
     bend_twist = 1.0 + model.poisson
     damping = model.internal_damping or 0.0
     doubts = {
-        f"bends as a solid of {solid:.2g} Pa (bending_stiffness in N mm^2?)": solid > _STIFF,
+        f"bends as a solid of {solid:.2g} Pa (bending_stiffness in N mm^2?)": solid > _STIFF
+        and model.is_isotropic,
         f"stretches more easily than it bends (k_s L_gb^2 / k_b is {model.stretch_ratio:.2g}; "
         "stretching_stiffness in other units?)": model.stretch_ratio < 1.0,
         f"bends {bend_twist:.2g} times as hard as it twists (twisting_stiffness in other units?)": (
-            not 1e-3 < bend_twist < 1e3
+            not 1e-3 < bend_twist < 1e5
         ),
         f"has {damping:g} s of internal damping (milliseconds?)": damping > 10.0,
     }

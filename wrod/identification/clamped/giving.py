@@ -82,7 +82,7 @@ def giving_for(laboratory, fit: Fit, place: int) -> list[tuple[Effect, np.ndarra
     for end, has_play in ways:
         giving = giving_of(laboratory, fit, end, has_play)
         size = (giving.turn**2).sum()
-        turned = giving.turn.sum(axis=0) @ values / size if len(values) == 3 else 0.0
+        turned = giving.turn.sum(axis=0) @ values / size if effect.name in TURNS else 0.0
         found.append((giving, np.array([turned])))
     return found
 

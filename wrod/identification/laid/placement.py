@@ -122,6 +122,8 @@ def raw(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
 
 def _off(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
     """(m,) distances from a curve [m]: up to half a step along it from its nearest point."""
+    if len(curve) < 2:  # a rod that leaves the picture at once
+        return np.linalg.norm(points - curve[0], axis=1)
     near = cKDTree(curve).query(points)[1]
     gap, step = points - curve[near], np.gradient(curve, axis=0)[near]
     along = (gap * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-24)
