@@ -138,10 +138,10 @@ def test_readings_that_cannot_be_are_refused(call, says):
         call()
 
 
-def test_half_a_circle_is_near_to_some_hanging_rod():
+def test_half_a_circle_says_nothing_of_the_stiffness():
     t = np.linspace(0.0, np.pi, 120)
     found = measure_hanging_loop(np.column_stack([0.2 * np.cos(t), -0.2 * np.sin(t)]))
-    assert 0.0 < found.gravito_bending_length < 1.0 and found.error > 0.0
+    assert found.error > found.gravito_bending_length and "says little" in found.warning
 
 
 def test_a_loop_upside_down_is_no_hanging_rod(loop):

@@ -67,9 +67,12 @@ def measure_hanging_loop(points: np.ndarray) -> MeasuredLength:
             f"the nearest hanging rod is {1e3 * scatter:.1f} mm off these points; is y up, and is "
             "it one rod in a plane, straight when it lies free?"
         )
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * scatter**2 * _correlation(residual)
+    # What the stiffness does that no length, end or tangent does, too, as far as differences tell.
+    own, rest = jacobian[:, 0], jacobian[:, 1:]
+    own = own - rest @ np.linalg.lstsq(rest, own)[0]
     lgb = float(np.exp(values[0]))
-    error = lgb * float(np.sqrt(covariance[0, 0]))
+    deviation = scatter * np.sqrt(_correlation(residual))
+    error = lgb * float(deviation / max(np.linalg.norm(own), 1e-9 * fit.size))
     warning = None
     if error > 0.1 * lgb:
         warning = (
