@@ -10,7 +10,7 @@ from chosen import DEVICE
 from newton.viewer import ViewerNull
 
 FOLDER = Path(__file__).parents[1] / "examples" / "newton"
-SLOW = ("cable_pile", "arm_carries_cable", "gripper_picks_cable", "bundle_hysteresis", "plectoneme",
+SLOW = ("arm_carries_cable", "gripper_picks_cable", "bundle_hysteresis", "plectoneme",
         "flick_cable")  # fmt: skip
 TOOLS = ("pictures", "beside_vbd", "vbd_scene", "dismech_scene")
 NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in TOOLS)

@@ -20,7 +20,7 @@ COUNT = 8
 
 class Example:
     frame_dt = 1.0 / 60.0
-    frame_count = 150
+    frame_count = 210
 
     def __init__(self, viewer, args):
         self.viewer, self.sim_time, self.deepest = viewer, 0.0, 0.0
