@@ -10,7 +10,7 @@ from pxr import Usd, UsdGeom
 from test_robot_model import own_arm
 
 import wrod
-from wrod.errors import RobotError
+from wrod.errors import RobotError, WrodWarning
 from wrod.robot.collision import CollisionModel
 from wrod.robot.grip import Grip
 from wrod.robot.kinematics import grasp_poses
@@ -171,13 +171,13 @@ def obstacles(tmp_path, **entry):
     return Obstacles.load(path)
 
 
-@pytest.mark.parametrize(
-    ("how", "says"),
-    [({"rpy": [0, 0, 90]}, "turned by .* 90.0] rad \\(degrees"), ({"xyz": [60, 0, 0]}, "60 m off")],
-)
-def test_an_obstacle_in_millimetres_or_degrees_is_refused(tmp_path, how, says):
-    with pytest.raises(RobotError, match=f"obstacle 1: .*{says}"):
-        obstacles(tmp_path, **{"size": [0.1, 0.1, 0.1], "xyz": [0.5, 0, 0], **how})
+def test_an_obstacle_in_degrees_is_refused_and_one_in_millimetres_asked_after(tmp_path):
+    box = {"size": [0.1, 0.1, 0.1], "xyz": [0.5, 0, 0]}
+    with pytest.raises(RobotError, match=r"obstacle 1: .*turned by .* 90\.0] rad \(degrees"):
+        obstacles(tmp_path, **box, rpy=[0, 0, 90])
+    with pytest.warns(WrodWarning, match="obstacle 1: stands 60 m off"):
+        found = obstacles(tmp_path, **box | {"xyz": [60, 0, 0]})
+    assert len(found.shapes) == 1
 
 
 def test_the_hanging_rod_keeps_clear_of_what_the_arm_would_miss(tmp_path, line):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.arguments import ONCE_ROUND
-from wrod.errors import RobotError
+from wrod.errors import RobotError, WrodWarning
 from wrod.files import read_json, schemas
 from wrod.robot.capsules import Capsule, capsules_of
 from wrod.robot.urdf import LinkShape
@@ -37,6 +38,9 @@ class Obstacles:
 
         Raises:
             RobotError: the file is missing, or an entry is not such a shape; names it.
+
+        Warns:
+            WrodWarning: a shape stands where no arm reaches.
         """
         path = Path(path)
         what = "a list of obstacles, [{'kind': 'box', ...}]"
@@ -74,7 +78,8 @@ def _shape(path: Path, number: int, entry: schemas.Obstacle) -> LinkShape:
         raise RobotError(f"{where}: is turned by {turned.tolist()} rad (degrees?)")
     off = float(np.linalg.norm(entry.xyz))
     if kind != "mesh" and off - 2.0 * size.max() > _FARTHEST:
-        raise RobotError(f"{where}: stands {off:g} m off, out of every arm's way (millimetres?)")
+        said = f"{where}: stands {off:g} m off, out of every arm's way (millimetres?)"
+        warnings.warn(WrodWarning(said), stacklevel=4)
     pose = np.eye(4)
     pose[:3, 3] = entry.xyz
     pose[:3, :3] = Rotation.from_euler("xyz", turned).as_matrix()
