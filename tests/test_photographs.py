@@ -123,6 +123,9 @@ def test_points_are_as_far_as_the_curve_is_between_its_points(tmp_path):
     seen = replace(photograph, centerline=points, seen=np.ones(300, bool))
     assert raw(seen, curve).distance[0] == pytest.approx(0.01)
     assert raw(seen, curve).distance[1:] == pytest.approx(np.abs(off[1:]), abs=1e-5)
+    # Of a rod that leaves the picture at once there is one place.
+    alone = np.linalg.norm(points - curve[0], axis=1)
+    assert raw(seen, curve[:1]).distance == pytest.approx(alone)
 
 
 def test_no_other_motion_brings_a_curve_nearer_in_the_mean(tmp_path):
